@@ -1,0 +1,44 @@
+# make setup | demo | test | check | bench        ARGS="..." is passed through
+SHELL := /bin/bash
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+UV_VERSION := 0.13.8
+EXTRAS ?= all
+ARGS ?=
+
+.PHONY: setup demo test test-fast check format bench constraints clean
+
+setup: $(VENV)/.ready
+
+$(VENV)/.ready: pyproject.toml constraints.txt
+	@PYTHON="$(PYTHON)" UV_VERSION="$(UV_VERSION)" EXTRAS="$(EXTRAS)" bash compose/setup.sh
+
+demo: setup
+	@$(BIN)/spotter demo $(ARGS)
+
+test: setup
+	@$(BIN)/pytest $(ARGS)
+
+test-fast: setup
+	@$(BIN)/pytest -m "not slow and not system and not netns" $(ARGS)
+
+check: setup
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+	@$(BIN)/mypy
+
+format: setup
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+
+bench: setup
+	@$(BIN)/python -m benchmarks $(ARGS)
+
+# Exact versions and hashes for every extra, for x86-64 and aarch64 alike.
+constraints:
+	@$(BIN)/uv pip compile --universal --generate-hashes --all-extras --no-header --no-annotate \
+		--python-version 3.11 pyproject.toml -o constraints.txt --quiet
+
+clean:
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis

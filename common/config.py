@@ -1,0 +1,166 @@
+"""TOML file -> typed config. A wrong key or value stops the program before the first frame.
+
+A config is a frozen ``msgspec.Struct`` whose fields all have defaults, so ``RadarConfig()`` is the shipped default.
+Limits are stated with ``msgspec.Meta``. The message of a refusal names file, key, value and what is allowed::
+
+    radar.toml: [cfar] threshhold_db = 16: no such key; did you mean 'threshold_db'? allowed: guard, threshold_db, ...
+    radar.toml: [cfar] threshold_db = 90: expected a number <= 60
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import re
+import tomllib
+import typing
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+C = TypeVar("C", bound=msgspec.Struct)
+
+
+class ConfigError(ValueError):
+    """The configuration is wrong; the text says where, what and what is allowed."""
+
+
+class Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of every part of a configuration."""
+
+
+class ZenohConfig(Section, frozen=True, kw_only=True):
+    """How this process reaches the others. The defaults suit one machine with a router on loopback."""
+
+    namespace: str = "spotter"  # the site: first chunk of every key, never spelled by code
+    mode: typing.Literal["client", "peer", "router"] = "client"
+    connect: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    listen: tuple[str, ...] = ()
+    lease_ms: typing.Annotated[int, msgspec.Meta(ge=100, le=60_000)] = 2000
+    ca_certificate: str = ""  # PEM files; all three or none
+    certificate: str = ""
+    private_key: str = ""
+    extra: dict[str, Any] = {}  # further Zenoh settings by path, e.g. "transport/link/tx/queue/size/data" = 4
+
+
+class ServiceConfig(Section, frozen=True, kw_only=True):
+    """What every service's configuration begins with."""
+
+    host: typing.Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9_]+$")] = "localhost"  # the role, e.g. "pi0"
+    source: str = ""
+    zenoh: ZenohConfig = msgspec.field(default_factory=ZenohConfig)
+
+
+def load(config_type: type[C], path: Path | None = None, overrides: Iterable[str] = ()) -> C:
+    """Read the file, lay ``section.key=value`` overrides over it, and check everything.
+
+    Raises:
+        ConfigError: unreadable, unknown key, wrong type, value outside its limits.
+    """
+    document, origin = _read(path) if path else ({}, "defaults")
+    for override in overrides:
+        key, value = _parse_override(override)
+        _refuse_unknown(config_type, _nest(key, value), "--set")
+        _assign(document, key, value)
+    _refuse_unknown(config_type, document, origin)
+    try:
+        return msgspec.convert(document, config_type)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{origin}: {_explain(error, document)}") from None
+    except ValueError as error:  # a __post_init__ check across several keys
+        raise ConfigError(f"{origin}: {error}") from None
+
+
+def config_hash(config: msgspec.Struct) -> str:
+    """Twelve hex digits that identify an effective configuration."""
+    canonical = msgspec.json.encode(msgspec.to_builtins(config), order="sorted")
+    return hashlib.sha256(canonical).hexdigest()[:12]
+
+
+def default_text(config_type: type[C]) -> dict[str, Any]:
+    """The shipped defaults as a plain mapping, for documentation and tests."""
+    return typing.cast(dict[str, Any], msgspec.to_builtins(config_type()))
+
+
+def _read(path: Path) -> tuple[dict[str, Any], str]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8")), str(path)
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise ConfigError(f"{path}: is a folder, expected a TOML file") from None
+    except PermissionError:
+        raise ConfigError(f"{path}: not readable by this user") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not UTF-8 text: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from None
+
+
+def _parse_override(text: str) -> tuple[list[str], Any]:
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise ConfigError(f"--set {text!r}: expected section.key=value")
+    try:
+        parsed = tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        parsed = value  # a bare word is a string, so that paths and URLs need no quotes
+    return key.strip().split("."), parsed
+
+
+def _nest(key: list[str], value: Any) -> dict[str, Any]:
+    nested: Any = value
+    for part in reversed(key):
+        nested = {part: nested}
+    return typing.cast(dict[str, Any], nested)
+
+
+def _assign(document: dict[str, Any], key: list[str], value: Any) -> None:
+    for part in key[:-1]:
+        document = document.setdefault(part, {})
+    document[key[-1]] = value
+
+
+def _refuse_unknown(
+    config_type: type[msgspec.Struct], document: Mapping[str, Any], origin: str, path: str = ""
+) -> None:
+    fields = {field.encode_name: field.type for field in msgspec.structs.fields(config_type)}
+    for key, value in document.items():
+        if key not in fields:
+            raise ConfigError(f"{origin}: {_unknown_key(key, value, sorted(fields), path)}")
+        nested = _struct_in(fields[key])
+        if nested is not None and isinstance(value, Mapping):
+            _refuse_unknown(nested, value, origin, f"{path}.{key}" if path else key)
+
+
+def _struct_in(hint: Any) -> type[msgspec.Struct] | None:
+    for candidate in (hint, *typing.get_args(hint)):
+        if isinstance(candidate, type) and issubclass(candidate, msgspec.Struct):
+            return candidate
+    return None
+
+
+def _unknown_key(key: str, value: Any, known: list[str], path: str) -> str:
+    where = f"[{path}] " if path else ""
+    near = difflib.get_close_matches(key, known, n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    shown = "{...}" if isinstance(value, Mapping) else repr(value)
+    return f"{where}{key} = {shown}: no such key; {hint}allowed: {', '.join(known)}"
+
+
+def _explain(error: msgspec.ValidationError, document: Mapping[str, Any]) -> str:
+    """Turn msgspec's text and path into ours, with the value that is wrong."""
+    text, _, path = str(error).partition(" - at `$.")
+    parts = re.findall(r"[^.\[\]`]+", path)
+    value: Any = document
+    for part in parts:
+        if isinstance(value, Mapping):
+            value = value.get(part)
+        elif isinstance(value, list) and part.isdigit():
+            value = value[int(part)]
+    section = ".".join(parts[:-1])
+    where = f"[{section}] " if section else ""
+    text = text[0].lower() + text[1:]
+    return f"{where}{parts[-1] if parts else 'file'} = {value!r}: {text}"

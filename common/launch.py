@@ -1,0 +1,104 @@
+"""The command line that every service shares: ``--config FILE``, ``--set section.key=value``, ``--source URL``.
+
+    app = service_app("radar", RadarConfig, run, __doc__)
+
+gives ``spotter-radar``; further subcommands are added to ``app``. Exit code 0 after Ctrl-C or SIGTERM, 1 after a
+failure, 2 when the configuration is wrong.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import msgspec
+import typer
+
+from common.config import ConfigError, ServiceConfig, load
+from common.session import init_zenoh_log
+
+C = TypeVar("C", bound=ServiceConfig)
+
+ConfigOption = Annotated[Path | None, typer.Option("--config", help="TOML file; without it the shipped defaults.")]
+SetOption = Annotated[list[str] | None, typer.Option("--set", help="section.key=value; may be given several times.")]
+SourceOption = Annotated[str | None, typer.Option("--source", help="Where the data comes from, e.g. sim:crossing.")]
+
+
+def service_app(name: str, config_type: type[C], run: Callable[[C], bool | None], doc: str | None) -> typer.Typer:
+    """The command line of one service. ``run(config)`` works until it is interrupted.
+
+    ``run`` returns ``service.closed_cleanly``; False ends the process hard, because a thread is stuck in the network.
+    """
+    app = typer.Typer(
+        name=f"spotter-{name.replace('_', '-')}",
+        help=(doc or "").strip(),
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+    )
+
+    @app.callback(invoke_without_command=True)
+    def start(
+        context: typer.Context,
+        config: ConfigOption = None,
+        overrides: SetOption = None,
+        source: SourceOption = None,
+        show_config: Annotated[
+            bool, typer.Option("--show-config", help="Print the effective configuration and stop.")
+        ] = False,
+    ) -> None:
+        context.obj = (config, overrides, source)
+        if context.invoked_subcommand is not None:
+            return
+        effective = load_config(config_type, config, overrides, source)
+        if show_config:
+            sys.stdout.write(msgspec.json.format(msgspec.json.encode(effective), indent=2).decode() + "\n")
+            return
+        setup_logging(name)
+        init_zenoh_log("error")
+        run_until_stopped(lambda: run(effective))
+
+    return app
+
+
+def load_config(config_type: type[C], path: Path | None, overrides: list[str] | None, source: str | None) -> C:
+    """Load or end the process with exit code 2 and one line that says what is wrong."""
+    settings = list(overrides or [])
+    if source is not None:
+        settings.append(f'source="{source}"')
+    try:
+        return load(config_type, path, settings)
+    except ConfigError as error:
+        sys.stderr.write(f"spotter: {error}\n")
+        raise SystemExit(2) from None
+
+
+def run_until_stopped(run: Callable[[], bool | None]) -> None:
+    """Run with SIGTERM equal to Ctrl-C; both end with exit code 0. A wrong configuration ends with 2."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    clean: bool | None = True
+    try:
+        clean = run()
+    except KeyboardInterrupt:
+        clean = True
+    except ConfigError as error:
+        sys.stderr.write(f"spotter: {error}\n")
+        raise SystemExit(2) from None
+    if clean is False:
+        sys.stderr.flush()
+        os._exit(0)
+
+
+def setup_logging(name: str) -> None:
+    """Log to stderr, one line an event, level from SPOTTER_LOG (default info)."""
+    logging.basicConfig(
+        stream=sys.stderr,
+        level=os.environ.get("SPOTTER_LOG", "info").upper(),
+        format=f"%(asctime)s %(levelname)-7s {name}/%(name)s: %(message)s",
+        datefmt="%H:%M:%S",
+    )

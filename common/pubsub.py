@@ -1,0 +1,128 @@
+"""Typed publishers and newest-value subscribers. Policy comes from the topics table."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import zenoh
+
+from common.clock import monotonic_s, utc_ns
+from common.codec import DecodeError, decode, encode, encoding_of
+from common.messages import Message
+from common.status import Report
+from common.topics import Topic
+
+M = TypeVar("M", bound=Message)
+
+_PRIORITY = {
+    "real_time": zenoh.Priority.REAL_TIME,
+    "interactive_high": zenoh.Priority.INTERACTIVE_HIGH,
+    "data_high": zenoh.Priority.DATA_HIGH,
+    "data": zenoh.Priority.DATA,
+    "data_low": zenoh.Priority.DATA_LOW,
+}
+_CONGESTION = {
+    "drop": zenoh.CongestionControl.DROP,
+    "block_first": zenoh.CongestionControl.BLOCK_FIRST,
+}
+_RING_FOR_WILDCARD = 64
+
+
+class Publisher:
+    """Call it with a message: it counts, stamps the sending time, encodes and puts."""
+
+    def __init__(self, session: zenoh.Session, topic: Topic, key: str, report: Report) -> None:
+        self._topic = topic
+        self._report = report
+        self._seq = 0
+        self._publisher = session.declare_publisher(
+            key,
+            encoding=encoding_of(topic.message),
+            priority=_PRIORITY[topic.priority],
+            congestion_control=_CONGESTION[topic.congestion],
+        )
+
+    @property
+    def wanted(self) -> bool:
+        """False when nobody listens to an on-demand topic, so that the work of making it can be spared."""
+        if not self._topic.on_demand:
+            return True
+        status: Any = self._publisher.matching_status  # an object that is always true, whatever its stub says
+        return bool(status.matching)
+
+    def __call__(self, message: Message) -> None:
+        if not isinstance(message, self._topic.message):
+            raise TypeError(f"{self._topic.name} carries {self._topic.message.__name__}, got {type(message).__name__}")
+        message.seq = self._seq
+        message.sent_ns = utc_ns()
+        self._publisher.put(encode(message))
+        self._seq += 1
+        self._report.published(message, primary=self._topic.age_limit_s is not None)
+
+
+@dataclass(frozen=True)
+class Received(Generic[M]):
+    """A message with when it came, on the reader's own clocks, and from where."""
+
+    key: str
+    message: M
+    arrived_s: float  # monotonic
+    arrived_ns: int  # UTC, for transport times only
+
+
+class Latest(Generic[M]):
+    """Newest value per key: a slow reader skips, it never queues. Decoding happens in ``take``, in the reader's thread.
+
+    ``wake`` is set on every arrival, so that one loop can wait for several subscriptions.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        topic: Topic,
+        message_type: type[M],
+        key_expr: str,
+        report: Report,
+        wake: threading.Event,
+    ) -> None:
+        self._topic = topic
+        self._type = message_type
+        self._report = report
+        self._wake = wake
+        self._lock = threading.Lock()
+        self._newest: dict[str, tuple[zenoh.Sample, float, int]] = {}
+        ring = _RING_FOR_WILDCARD if "*" in key_expr else 1
+        self._subscriber = session.declare_subscriber(key_expr, zenoh.handlers.RingChannel(ring))
+        self._thread = threading.Thread(target=self._receive, name=f"latest {topic.name}", daemon=True)
+        self._thread.start()
+
+    def take(self) -> list[Received[M]]:
+        """What has arrived since the last call, at most one message per key; undecodable ones are counted."""
+        with self._lock:
+            newest, self._newest = self._newest, {}
+        taken: list[Received[M]] = []
+        for key, (sample, arrived_s, arrived_ns) in newest.items():
+            try:
+                message = decode(sample.payload.to_bytes(), self._type, self._topic.max_bytes)
+            except DecodeError as error:
+                self._report.bad_input(f"undecodable {self._topic.name}: {str(error)[:60]}")
+                continue
+            taken.append(Received(key, message, arrived_s, arrived_ns))
+        return taken
+
+    def close(self) -> None:
+        self._subscriber.undeclare()
+
+    def _receive(self) -> None:
+        try:
+            for sample in self._subscriber:
+                if sample.kind != zenoh.SampleKind.PUT:
+                    continue
+                arrival = (sample, monotonic_s(), utc_ns())
+                with self._lock:
+                    self._newest[str(sample.key_expr)] = arrival
+                self._wake.set()
+        except zenoh.ZError:
+            return  # the session is closed

@@ -1,0 +1,161 @@
+"""THE table: every topic, who owns it, what it carries, how often, and how old it may get.
+
+Publishers, subscribers, health, the recorder, the access rules, the tests and the README's table all come from here.
+Keys are ``<host>/<service>/<product>`` under the session's namespace, so no code spells the site.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from common import messages as m
+
+Priority = Literal["real_time", "interactive_high", "data_high", "data", "data_low"]
+Congestion = Literal["drop", "block_first"]
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One row of the table.
+
+    ``age_limit_s`` is the age at which a reader has to call the data stale (None: nobody decides on it).
+    ``on_demand`` topics are published only while somebody listens.
+    """
+
+    service: str
+    product: str
+    message: type[m.Message]
+    nominal_hz: float | None
+    age_limit_s: float | None = None
+    on_demand: bool = False
+    priority: Priority = "data"
+    congestion: Congestion = "drop"
+    max_bytes: int = 1_000_000
+
+    @property
+    def name(self) -> str:
+        """``<service>/<product>``."""
+        return f"{self.service}/{self.product}"
+
+    def key(self, host: str) -> str:
+        """The key on one host: ``<host>/<service>/<product>``."""
+        return f"{host}/{self.service}/{self.product}"
+
+    @property
+    def any_host(self) -> str:
+        """The key expression for this topic on every host."""
+        return f"*/{self.service}/{self.product}"
+
+
+@dataclass(frozen=True)
+class ServiceRow:
+    """One service: its name everywhere, the host role that runs it by default and the extra it needs."""
+
+    name: str
+    host: str
+    extra: str
+    optional: bool = False
+
+    @property
+    def script(self) -> str:
+        return "spotter-" + self.name.replace("_", "-")
+
+
+SERVICES: tuple[ServiceRow, ...] = (
+    ServiceRow("radar", "pi0", "radar-pi"),
+    ServiceRow("lidar", "jetson0", "jetson"),
+    ServiceRow("camera", "jetson0", "jetson"),
+    ServiceRow("fusion", "jetson0", "jetson"),
+    ServiceRow("dashboard", "jetson0", "jetson"),
+    ServiceRow("infra_lidar", "infra0", "infra-lidar"),
+)
+
+RADAR_TRACKS = Topic("radar", "tracks", m.RadarTracks, 10.0, 0.5, priority="data_high")
+RADAR_DETECTIONS = Topic("radar", "detections", m.RadarDetections, 10.0, on_demand=True)
+LIDAR_SCAN = Topic("lidar", "scan", m.LaserScan, 10.0)
+LIDAR_ZONES = Topic("lidar", "zones", m.LidarZones, 10.0, 0.5, priority="data_high")
+CAMERA_DETECTIONS = Topic("camera", "detections", m.CameraDetections, 15.0, 1.0, priority="data_high")
+CAMERA_IMAGE = Topic(
+    "camera", "image", m.CompressedImage, 5.0, on_demand=True,
+    priority="data_low", congestion="block_first", max_bytes=8_000_000,
+)  # fmt: skip
+INFRA_TRACKS = Topic("infra_lidar", "tracks", m.ObjectTracks, 10.0, 0.5, priority="data_high")
+INFRA_CLUSTERS = Topic("infra_lidar", "clusters", m.Clusters, 10.0, on_demand=True)
+INFRA_POINTS = Topic(
+    "infra_lidar", "points", m.PointCloud, 5.0, on_demand=True,
+    priority="data_low", congestion="block_first", max_bytes=16_000_000,
+)  # fmt: skip
+FUSION_VERDICT = Topic("fusion", "verdict", m.Verdict, 20.0, 0.25, priority="interactive_high")
+FUSION_HEALTH = Topic("fusion", "health", m.SystemHealth, 2.0, 2.0, priority="interactive_high")
+EGO_MOTION = Topic("ego", "motion", m.EgoMotion, 20.0, 0.5, priority="data_high")
+
+DATA_TOPICS: tuple[Topic, ...] = (
+    RADAR_TRACKS,
+    RADAR_DETECTIONS,
+    LIDAR_SCAN,
+    LIDAR_ZONES,
+    CAMERA_DETECTIONS,
+    CAMERA_IMAGE,
+    INFRA_TRACKS,
+    INFRA_CLUSTERS,
+    INFRA_POINTS,
+    FUSION_VERDICT,
+    FUSION_HEALTH,
+    EGO_MOTION,
+)
+
+# How old a camera picture may be to confirm or to suppress another sensor's alert (bench-stack A20).
+CAMERA_CONFIRM_AGE_S = 0.5
+
+
+def status_topic(service: str) -> Topic:
+    """``<host>/<service>/status``: on change and 1 Hz, and a queryable on the same key."""
+    return Topic(service, "status", m.ServiceStatus, 1.0, 3.0, priority="interactive_high")
+
+
+def info_key(host: str, service: str) -> str:
+    return f"{host}/{service}/info"
+
+
+def clock_key(host: str, service: str) -> str:
+    return f"{host}/{service}/clock"
+
+
+def token_key(host: str, service: str, instance: str) -> str:
+    """The liveliness token: up while the process lives; a fresh instance id per start."""
+    return f"{host}/{service}/alive/{instance}"
+
+
+ANY_TOKEN = "*/*/alive/*"
+
+
+def parse_token(key: str) -> tuple[str, str, str]:
+    """Token key to (host, service, instance).
+
+    Raises:
+        ValueError: not a token key.
+    """
+    parts = key.split("/")
+    if len(parts) != 4 or parts[2] != "alive":
+        raise ValueError(f"not a liveliness token of ours: {key!r}")
+    return parts[0], parts[1], parts[3]
+
+
+def find_topic(key: str) -> Topic | None:
+    """The row of the table that a concrete key ``<host>/<service>/<product>`` belongs to, or None."""
+    parts = key.split("/")
+    if len(parts) != 3:
+        return None
+    _, service, product = parts
+    if product == "status":
+        return status_topic(service)
+    return next((t for t in DATA_TOPICS if t.service == service and t.product == product), None)
+
+
+def service_row(name: str) -> ServiceRow:
+    """Raises ``KeyError`` with the known names when there is no such service."""
+    for row in SERVICES:
+        if row.name == name:
+            return row
+    raise KeyError(f"no service {name!r}; known: {', '.join(row.name for row in SERVICES)}")

@@ -1,0 +1,25 @@
+#!/usr/bin/env bash
+# Makes .venv with the extras named in EXTRAS, from constraints.txt. Quiet; the log is shown when a step fails.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+log=.setup.log
+: >"$log"
+step() {
+    printf '  setup: %s ...\n' "$1" >&2
+    shift
+    "$@" >>"$log" 2>&1 || { cat "$log" >&2; printf '  setup failed; the log above is also in %s\n' "$log" >&2; exit 1; }
+}
+"${PYTHON:-python3}" - <<'PY' || exit 1
+import importlib.util, sys
+if sys.version_info < (3, 11):
+    sys.exit(f"  setup: Spotter needs Python 3.11 or newer, this is {sys.version.split()[0]}; set PYTHON=/path/to/python3.11")
+if importlib.util.find_spec("ensurepip") is None:
+    sys.exit("  setup: this Python cannot make virtual environments; on Debian and Ubuntu: apt install python3-venv")
+PY
+[ -x .venv/bin/python ] || step "creating .venv" "${PYTHON:-python3}" -m venv .venv
+[ "$(.venv/bin/uv --version 2>/dev/null | cut -d' ' -f2)" = "$UV_VERSION" ] \
+    || step "installing uv $UV_VERSION" .venv/bin/python -m pip install --quiet "uv==$UV_VERSION"
+step "installing spotter[$EXTRAS] (about a minute the first time)" \
+    .venv/bin/uv pip install --python .venv/bin/python -c constraints.txt -e ".[$EXTRAS]"
+touch .venv/.ready
+printf '  setup: ready\n' >&2
