@@ -1,0 +1,80 @@
+"""The physical axes of a waveform: the one place where range bins, speeds and limits are computed.
+
+The sweep that counts is the one *sampled*: the ramp runs ``sample_delay_s`` before the first sample, so the emitted
+bandwidth would make every range 3 to 9 % short (BGT60TR13C data sheet, ramp timing; Avian SDK documentation).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.radar_pi.config import AzimuthConfig, ProcessingConfig, WaveformConfig
+
+C_MPS = 299_792_458.0
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Bins to metres and metres per second. Closing is negative."""
+
+    sampled_bandwidth_hz: float
+    slope_hz_per_s: float
+    wavelength_m: float  # at the middle of the sampled sweep
+    range_bin_m: float
+    velocity_bin_mps: float
+    v_max_mps: float  # unambiguous: +- this
+    range_m: np.ndarray  # (samples / 2,) float64, bins from 0
+    velocity_mps: np.ndarray  # (chirps,) float64, rising from -v_max
+    near_bin: int  # first and one past the last bin that is looked at
+    far_bin: int
+    if_corner_m: float  # range at the anti-alias corner: farther is attenuated
+    fold_m: float  # range at half the sampling rate: farther folds back, with its velocity mirrored
+
+    @property
+    def range_min_m(self) -> float:
+        return float(self.range_m[self.near_bin])
+
+    @property
+    def range_max_m(self) -> float:
+        return float(self.range_m[self.far_bin - 1])
+
+
+def derive_axes(waveform: WaveformConfig, processing: ProcessingConfig) -> Axes:
+    """All axes of a configuration.
+
+    Raises:
+        ValueError: the range limits leave fewer than four bins.
+    """
+    sampling_s = waveform.samples / waveform.sample_rate_hz
+    slope = (waveform.end_frequency_hz - waveform.start_frequency_hz) / (sampling_s + waveform.sample_delay_s)
+    bandwidth_hz = slope * sampling_s
+    wavelength_m = C_MPS / (waveform.end_frequency_hz - bandwidth_hz / 2)
+    range_bin_m = C_MPS / (2 * bandwidth_hz)
+    v_max_mps = wavelength_m / (4 * waveform.chirp_period_s)
+    velocity_bin_mps = 2 * v_max_mps / waveform.chirps
+    range_m = np.arange(waveform.samples // 2) * range_bin_m - processing.range_offset_m
+    near = max(1, int(np.searchsorted(range_m, processing.range_min_m)))
+    far = int(np.searchsorted(range_m, processing.range_max_m, side="right"))
+    if far - near < 4:
+        raise ValueError(f"[processing] range_min_m..range_max_m holds only {far - near} bins of {range_bin_m:.3f} m")
+    return Axes(
+        sampled_bandwidth_hz=bandwidth_hz,
+        slope_hz_per_s=slope,
+        wavelength_m=wavelength_m,
+        range_bin_m=range_bin_m,
+        velocity_bin_mps=velocity_bin_mps,
+        v_max_mps=v_max_mps,
+        range_m=range_m,
+        velocity_mps=(np.arange(waveform.chirps) - waveform.chirps // 2) * velocity_bin_mps,
+        near_bin=near,
+        far_bin=far,
+        if_corner_m=waveform.lp_cutoff_hz * C_MPS / (2 * slope),
+        fold_m=waveform.sample_rate_hz / 2 * C_MPS / (2 * slope),
+    )
+
+
+def azimuth_limit_rad(azimuth: AzimuthConfig, wavelength_m: float) -> float:
+    """The largest unambiguous azimuth of the receiver pair."""
+    return float(np.arcsin(min(1.0, wavelength_m / (2 * azimuth.spacing_m))))

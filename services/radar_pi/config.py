@@ -1,0 +1,158 @@
+"""Configuration of the radar service: every key with its unit, default and limits.
+
+``radar.toml`` beside this file lists the same keys with comments. Axes (range bin, speed limit ...) are derived from
+``[waveform]`` in ``axes.py`` and nowhere else.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from common.config import Section, ServiceConfig
+
+Positive = Annotated[float, Meta(gt=0.0)]
+NotNegative = Annotated[float, Meta(ge=0.0)]
+Probability = Annotated[float, Meta(gt=0.0, lt=1.0)]
+
+CHIP_FREQUENCY_HZ = (57.0e9, 64.0e9)  # what the synthesiser reaches; the data sheet specifies 58.0 to 63.5 GHz
+
+
+class WaveformConfig(Section, frozen=True, kw_only=True):
+    """What the chip is told to send. The default sees walkers and a small car from 0.3 m to 6 m at up to 5 m/s."""
+
+    start_frequency_hz: Annotated[float, Meta(ge=57.0e9, le=64.0e9)] = 60.0e9  # when the transmitter turns on
+    end_frequency_hz: Annotated[float, Meta(ge=57.0e9, le=64.0e9)] = 61.31e9  # when the ramp ends
+    samples: Annotated[int, Meta(ge=16, le=4095)] = 128  # per chirp and receiver
+    chirps: Annotated[int, Meta(ge=2, le=4096)] = 64  # per frame
+    sample_rate_hz: Annotated[float, Meta(ge=78.0e3, le=4.0e6)] = 1.25e6
+    chirp_period_s: Annotated[float, Meta(gt=0.0, le=0.1)] = 0.24e-3
+    frame_period_s: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.1
+    rx_mask: Annotated[int, Meta(ge=1, le=7)] = 7  # bit 0 = RX1, bit 1 = RX2, bit 2 = RX3
+    tx_power_level: Annotated[int, Meta(ge=0, le=31)] = 31
+    if_gain_db: Annotated[int, Meta(ge=18, le=60)] = 33
+    hp_cutoff_hz: Literal[20_000, 45_000, 70_000, 80_000] = 20_000
+    lp_cutoff_hz: Annotated[int, Meta(ge=100_000, le=1_000_000)] = 500_000
+    sample_delay_s: NotNegative = 3.1125e-6  # T_SSTART: transmitter on to first sample, not part of the sampled sweep
+    register_file: str = ""  # Infineon register export ("NAME 0xADDR 0xVALUE"); replaces the computed list
+    settings_file: str = ""  # Infineon settings JSON; replaces the keys above
+
+    def __post_init__(self) -> None:
+        if self.end_frequency_hz <= self.start_frequency_hz:
+            raise ValueError("[waveform] end_frequency_hz: the ramp has to rise above start_frequency_hz")
+        if self.chirp_period_s <= self.samples / self.sample_rate_hz + self.sample_delay_s:
+            raise ValueError("[waveform] chirp_period_s: shorter than the time its samples take")
+        if self.frame_period_s < self.chirps * self.chirp_period_s:
+            raise ValueError("[waveform] frame_period_s: shorter than its chirps take")
+
+    @property
+    def rx(self) -> tuple[int, ...]:
+        """Active receivers by the chip's numbers (1, 2, 3), ascending: the order of the frame's first axis."""
+        return tuple(n + 1 for n in range(3) if self.rx_mask >> n & 1)
+
+
+class SpiConfig(Section, frozen=True, kw_only=True):
+    """Wiring of the DreamHAT+ on a Raspberry Pi 5; used by ``spi:`` sources only."""
+
+    bus: Annotated[int, Meta(ge=0)] = 0
+    device: Annotated[int, Meta(ge=0)] = 0
+    speed_hz: Annotated[int, Meta(ge=100_000, le=50_000_000)] = 50_000_000
+    reset_gpio: int = 12  # active low
+    irq_gpio: int = 25  # rising edge
+    gpio_chip: str = "/dev/gpiochip0"
+
+
+class ProcessingConfig(Section, frozen=True, kw_only=True):
+    """Windows and the clutter background."""
+
+    window: Literal["hann", "hamming", "rectangular"] = "hann"  # both transforms
+    mti: Literal["background", "frame_difference", "off"] = "background"
+    mti_memory: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.92  # background <- memory * background + (1 - memory) * new
+    settling_frames: Annotated[int, Meta(ge=0, le=1000)] = 15
+    range_offset_m: float = 0.0  # electrical zero of the range axis, subtracted
+    range_min_m: NotNegative = 0.2  # nearer is transmitter leakage
+    range_max_m: Positive = 6.5  # farther is dropped: see "What it can and cannot see" in the README
+
+
+class CfarConfig(Section, frozen=True, kw_only=True):
+    """Constant false alarm rate detector over the range-Doppler power map (linear, never dB)."""
+
+    kind: Literal["ca", "os"] = "ca"
+    threshold_db: Annotated[float, Meta(ge=0.0, le=60.0)] = 16.0  # over the mean noise power of one cell
+    guard_range: Annotated[int, Meta(ge=0, le=16)] = 2  # cells on each side
+    guard_doppler: Annotated[int, Meta(ge=0, le=16)] = 3
+    train_range: Annotated[int, Meta(ge=1, le=32)] = 6
+    train_doppler: Annotated[int, Meta(ge=0, le=32)] = 4
+    os_fraction: Probability = 0.75  # rank of the ordered statistic among the training cells
+
+
+class DetectionConfig(Section, frozen=True, kw_only=True):
+    """Cells over threshold -> one detection per body."""
+
+    body_range_m: Positive = 0.45  # a body spreads this far around its strongest cell
+    body_velocity_mps: Positive = 2.2  # limbs swing this much faster or slower than the trunk
+    body_azimuth_rad: Positive = 0.5
+    max_detections: Annotated[int, Meta(ge=1, le=500)] = 32  # the strongest are kept
+
+
+class AzimuthConfig(Section, frozen=True, kw_only=True):
+    """Angle from the phase difference of the horizontal receiver pair."""
+
+    left_rx: Annotated[int, Meta(ge=1, le=3)] = 3  # phase(left) - phase(right) rises with azimuth to the left
+    right_rx: Annotated[int, Meta(ge=1, le=3)] = 1
+    spacing_m: Positive = 2.5e-3
+    phase_offset_rad: float = 0.0  # measured on a boresight target, subtracted
+    field_of_view_rad: Annotated[float, Meta(gt=0.0, le=1.58)] = 0.96  # farther off boresight is dropped
+
+
+class TrackingConfig(Section, frozen=True, kw_only=True):
+    """Kalman tracks in range, range rate and azimuth."""
+
+    sigma_range_m: Positive = 0.05  # measurement noise, standard deviations
+    sigma_velocity_mps: Positive = 0.15
+    sigma_azimuth_rad: Positive = 0.09
+    sigma_acceleration_mps2: Positive = 3.0  # process noise
+    sigma_azimuth_rate_radps: Positive = 0.6
+    gate: Positive = 16.3  # Mahalanobis distance squared: 99.9 % of chi-squared with 3 degrees of freedom
+    confirm_frames: Annotated[int, Meta(ge=1, le=50)] = 3  # consecutive, the first detection counts
+    delete_misses: Annotated[int, Meta(ge=1, le=50)] = 3
+    approach_frames: Annotated[int, Meta(ge=1, le=50)] = 3
+    moving_mps: Positive = 0.15  # slower is standing
+
+
+class AlarmConfig(Section, frozen=True, kw_only=True):
+    """Bands of an approach-confirmed track. All limits are inclusive."""
+
+    imminent_ttc_s: Positive = 1.5
+    imminent_range_m: Positive = 0.5
+    caution_ttc_s: Positive = 3.0
+    caution_range_m: Positive = 1.2
+    stopped_near_s: NotNegative = 2.0  # "came close and stopped" stays CAUTION this long; 0 switches it off
+
+
+class HealthConfig(Section, frozen=True, kw_only=True):
+    """When the radar says that it cannot see."""
+
+    learn_frames: Annotated[int, Meta(ge=2, le=10_000)] = 50  # after settling: noise floor and clutter are learned
+    hold_frames: Annotated[int, Meta(ge=1, le=1000)] = 10  # a deviation has to last this long
+    noise_db: Positive = 6.0  # noise floor off its learned value
+    clutter_db: Positive = 8.0  # static clutter off its learned value
+    saturated_fraction: Probability = 0.01  # samples at the ADC's limits in one frame
+
+
+class RadarConfig(ServiceConfig, frozen=True, kw_only=True):
+    """Everything; ``RadarConfig()`` is the shipped default."""
+
+    host: Annotated[str, Meta(pattern=r"^[a-z0-9_]+$")] = "pi0"
+    source: str = "sim:crossing"
+    waveform: WaveformConfig = msgspec.field(default_factory=WaveformConfig)
+    spi: SpiConfig = msgspec.field(default_factory=SpiConfig)
+    processing: ProcessingConfig = msgspec.field(default_factory=ProcessingConfig)
+    cfar: CfarConfig = msgspec.field(default_factory=CfarConfig)
+    detection: DetectionConfig = msgspec.field(default_factory=DetectionConfig)
+    azimuth: AzimuthConfig = msgspec.field(default_factory=AzimuthConfig)
+    tracking: TrackingConfig = msgspec.field(default_factory=TrackingConfig)
+    alarm: AlarmConfig = msgspec.field(default_factory=AlarmConfig)
+    health: HealthConfig = msgspec.field(default_factory=HealthConfig)
