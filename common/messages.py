@@ -271,6 +271,7 @@ class VerdictInput(msgspec.Struct, kw_only=True):
     used: bool
     why: Text
     stage_ms: StageMs = {}  # capture, processing, transport, fusion
+    stamp_ns: Count = 0  # of the measurement that was used; 0 = none
 
 
 class Verdict(Message, kw_only=True):
