@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import re
 import threading
 from typing import Any
 
@@ -26,7 +27,6 @@ def zenoh_settings(config: ZenohConfig) -> dict[str, Any]:
     """
     settings: dict[str, Any] = {
         "mode": config.mode,
-        "namespace": config.namespace,
         "connect/endpoints": list(config.connect),
         "listen/endpoints": list(config.listen),
         "connect/retry": {
@@ -41,6 +41,8 @@ def zenoh_settings(config: ZenohConfig) -> dict[str, Any]:
         "transport/link/tx/keep_alive": 4,
         "transport/shared_memory/enabled": False,
     }
+    if config.namespace:
+        settings["namespace"] = config.namespace
     if config.mode == "client":
         settings["connect/timeout_ms"] = OPEN_ATTEMPT_MS
         settings["connect/exit_on_failure"] = True
@@ -72,7 +74,7 @@ def build(config: ZenohConfig) -> zenoh.Config:
         try:
             built.insert_json5(path, json.dumps(value))
         except zenoh.ZError as error:
-            raise ConfigError(f"[zenoh] {path} = {value!r}: {error}") from None
+            raise ConfigError(f"[zenoh] {path} = {value!r}: {plain(error)}") from None
     return built
 
 
@@ -90,7 +92,7 @@ def open_session(config: ZenohConfig, *, give_up_after_s: float | None = None) -
             return zenoh.open(built)
         except zenoh.ZError as error:
             if config.mode != "client":
-                raise ConfigError(f"[zenoh] cannot open a {config.mode} session: {error}") from None
+                raise ConfigError(f"[zenoh] cannot open a {config.mode} session: {plain(error)}") from None
             if waited_s == 0.0:
                 log.info("waiting for a router at %s", ", ".join(config.connect) or "(no endpoint)")
             waited_s += OPEN_ATTEMPT_MS / 1000
@@ -98,6 +100,11 @@ def open_session(config: ZenohConfig, *, give_up_after_s: float | None = None) -
                 raise ConnectionError(
                     f"no router answers at {', '.join(config.connect)}; is `spotter router` or `spotter demo` running?"
                 ) from None
+
+
+def plain(error: zenoh.ZError) -> str:
+    """Zenoh's error without the places in its own source code: the part that a person can use."""
+    return re.split(r" at /|: \[", str(error))[0]
 
 
 def close_session(session: zenoh.Session) -> bool:

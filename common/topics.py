@@ -55,7 +55,6 @@ class ServiceRow:
     name: str
     host: str
     extra: str
-    optional: bool = False
 
     @property
     def script(self) -> str:
@@ -70,6 +69,9 @@ SERVICES: tuple[ServiceRow, ...] = (
     ServiceRow("dashboard", "jetson0", "jetson"),
     ServiceRow("infra_lidar", "infra0", "infra-lidar"),
 )
+
+# Helpful where there is a source for them, missed by nobody.
+OPTIONAL_SERVICES: tuple[ServiceRow, ...] = (ServiceRow("ego", "jetson0", "jetson"),)
 
 RADAR_TRACKS = Topic("radar", "tracks", m.RadarTracks, 10.0, 0.5, priority="data_high")
 RADAR_DETECTIONS = Topic("radar", "detections", m.RadarDetections, 10.0, on_demand=True)
@@ -155,7 +157,7 @@ def find_topic(key: str) -> Topic | None:
 
 def service_row(name: str) -> ServiceRow:
     """Raises ``KeyError`` with the known names when there is no such service."""
-    for row in SERVICES:
+    for row in SERVICES + OPTIONAL_SERVICES:
         if row.name == name:
             return row
-    raise KeyError(f"no service {name!r}; known: {', '.join(row.name for row in SERVICES)}")
+    raise KeyError(f"no service {name!r}; known: {', '.join(row.name for row in SERVICES + OPTIONAL_SERVICES)}")

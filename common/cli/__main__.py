@@ -1,0 +1,32 @@
+"""The `spotter` command. Each group of subcommands has its own file; this one only names them."""
+
+from __future__ import annotations
+
+import typer
+
+from common.cli.demo import demo
+from common.cli.look import echo, health, hz, ls
+from common.cli.router import router
+from common.cli.up import up
+
+app = typer.Typer(
+    name="spotter",
+    help="Perception over Zenoh for collision prevention and roadside sensing.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+for command in (demo, up, router, ls, echo, hz, health):
+    app.command()(command)
+
+
+def main() -> None:
+    """Entry point; Ctrl-C ends any command quietly."""
+    try:
+        app(standalone_mode=True)
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,57 @@
+"""`spotter up HOST`: what one host runs, supervised."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from common.cli.connect import Namespace
+from common.cli.fail import fail
+from common.config import ConfigError
+from common.hosts import Plan, children, parse_settings, services_of
+from common.launch import setup_logging
+from common.supervisor import Supervisor, run_supervised
+from common.topics import ServiceRow
+
+
+def up(
+    host: Annotated[str, typer.Argument(help="The host's role: pi0, jetson0 or infra0.")],
+    listen: Annotated[
+        list[str] | None, typer.Option("--listen", help="Endpoints of this host's router; services use the first.")
+    ] = None,
+    link: Annotated[list[str] | None, typer.Option("--link", help="Routers of other hosts to link to.")] = None,
+    config_dir: Annotated[
+        Path | None, typer.Option("--config-dir", help="Folder with <service>.toml files, e.g. radar.toml.")
+    ] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="SERVICE.section.key=value, e.g. radar.cfar.threshold_db=14.")
+    ] = None,
+    sim: Annotated[str, typer.Option("--sim", help="Feed every sensor from this simulated scenario.")] = "",
+    namespace: Namespace = "spotter",
+) -> None:
+    """Start this host's router and services, restart what dies, stop all of them on Ctrl-C."""
+    setup_logging("up")
+    try:
+        rows = services_of(host)
+        plan = Plan(
+            listen=tuple(listen or Plan.listen),
+            link=tuple(link or ()),
+            namespace=namespace,
+            config_dir=config_dir,
+            sources=sim_sources(rows, sim),
+            settings=parse_settings(overrides or []),
+        )
+    except ConfigError as error:
+        fail(str(error), code=2)
+    if config_dir is not None and not config_dir.is_dir():
+        fail(f"--config-dir {config_dir}: no such folder", code=2)
+    raise SystemExit(run_supervised(Supervisor(children(rows, plan))))
+
+
+def sim_sources(rows: list[ServiceRow], scenario: str) -> dict[str, str]:
+    """The simulated source of every service that has a sensor; nothing without a scenario."""
+    if not scenario:
+        return {}
+    return {row.name: f"sim:{scenario}" for row in rows if row.name not in ("fusion", "dashboard")}

@@ -1,0 +1,105 @@
+"""What one host runs: its router and its services, as processes for the supervisor."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from common.config import ConfigError
+from common.supervisor import Child
+from common.topics import SERVICES, ServiceRow, service_row
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How to start a set of services on this machine.
+
+    ``sources`` and ``settings`` are by service name; ``settings`` are ``section.key=value`` texts.
+    """
+
+    listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    link: tuple[str, ...] = ()
+    namespace: str = "spotter"
+    config_dir: Path | None = None
+    sources: Mapping[str, str] = field(default_factory=dict)
+    settings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+
+def services_of(host: str) -> list[ServiceRow]:
+    """The rows of the table that this host runs.
+
+    Raises:
+        ConfigError: nothing runs on a host of this name.
+    """
+    rows = [row for row in SERVICES if row.host == host]
+    if not rows:
+        known = sorted({row.host for row in SERVICES})
+        raise ConfigError(f"no services on host {host!r}; known hosts: {', '.join(known)}")
+    return rows
+
+
+def children(rows: list[ServiceRow], plan: Plan) -> list[Child]:
+    """The router and one process per service."""
+    return [router_child(plan)] + [service_child(row, plan) for row in rows]
+
+
+def router_child(plan: Plan) -> Child:
+    command = [*_script("spotter"), "router"]
+    for endpoint in plan.listen:
+        command += ["--listen", endpoint]
+    for endpoint in plan.link:
+        command += ["--link", endpoint]
+    return Child("router", command)
+
+
+def service_child(row: ServiceRow, plan: Plan) -> Child:
+    settings = [
+        f"host={row.host}",
+        f"zenoh.connect={json.dumps([plan.listen[0]])}",
+        f"zenoh.namespace={plan.namespace}",
+        *plan.settings.get(row.name, ()),
+    ]
+    command = _script(row.script)
+    if plan.config_dir is not None:
+        path = plan.config_dir / f"{row.name}.toml"
+        if path.exists():
+            command += ["--config", str(path)]
+    for setting in settings:
+        command += ["--set", setting]
+    if row.name in plan.sources:
+        command += ["--source", plan.sources[row.name]]
+    return Child(row.name, command, environment=_environment())
+
+
+def parse_settings(texts: list[str]) -> dict[str, tuple[str, ...]]:
+    """``radar.cfar.threshold_db=14`` to {"radar": ("cfar.threshold_db=14",)}.
+
+    Raises:
+        ConfigError: no service of that name, or not of this form.
+    """
+    settings: dict[str, tuple[str, ...]] = {}
+    for text in texts:
+        name, dot, rest = text.partition(".")
+        if not dot or "=" not in rest:
+            raise ConfigError(f"--set {text!r}: expected SERVICE.section.key=value")
+        try:
+            service_row(name)
+        except KeyError as error:
+            raise ConfigError(f"--set {text!r}: {error.args[0]}") from None
+        settings[name] = (*settings.get(name, ()), rest)
+    return settings
+
+
+def _script(name: str) -> list[str]:
+    """The console script beside this very interpreter, so that no other installation is picked up."""
+    return [str(Path(sys.executable).with_name(name))]
+
+
+def _environment() -> dict[str, str]:
+    """One thread for the numeric libraries: each service has its core's share, not the whole machine."""
+    one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    return {**one_thread, **os.environ, "PYTHONUNBUFFERED": "1"}

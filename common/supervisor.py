@@ -1,0 +1,166 @@
+"""Runs the processes of one host: starts them, restarts one that dies, prefixes their logs, stops them all.
+
+No library fits: honcho ends everything when one process ends, supervisord neither prefixes nor embeds, and
+systemd or compose (which deploy the real hosts) are not on every laptop. So: asyncio's subprocesses and this file.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ctypes
+import logging
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+log = logging.getLogger("supervisor")
+
+FIRST_BACKOFF_S = 0.2
+LONGEST_BACKOFF_S = 10.0
+STEADY_AFTER_S = 10.0  # a process that lived this long starts again with the first back-off
+STOP_BUDGET_S = 3.0
+EXIT_WRONG_CONFIG = 2
+_PR_SET_PDEATHSIG = 1
+_COLOURS = (36, 32, 33, 35, 34, 31, 96, 92, 93)
+
+
+@dataclass
+class Child:
+    """One process to keep alive; ``starts`` and ``pid`` tell what became of it."""
+
+    name: str
+    command: list[str]
+    starts: int = 0
+    pid: int | None = None
+    exit_code: int | None = None
+    environment: dict[str, str] | None = field(default=None, repr=False)
+
+
+class Supervisor:
+    """``await run()`` returns when every child ended by itself, when stopped, or when a child's config is wrong.
+
+    The exit code is 0, or 2 when a child refused its configuration: a broken file never runs half a system.
+    """
+
+    def __init__(self, children: list[Child], *, write: Callable[[str], None] | None = None) -> None:
+        self.children = children
+        self._write = write or _write_stderr
+        self._width = max((len(child.name) for child in children), default=0)
+        self._stop = asyncio.Event()
+        self._exit_code = 0
+
+    def stop(self) -> None:
+        self._stop.set()
+
+    async def run(self) -> int:
+        keepers = [asyncio.create_task(self._keep(child, i)) for i, child in enumerate(self.children)]
+        await asyncio.gather(*keepers)
+        return self._exit_code
+
+    async def _keep(self, child: Child, index: int) -> None:
+        backoff_s = FIRST_BACKOFF_S
+        while not self._stop.is_set():
+            lived_s = await self._run_once(child, index)
+            if self._stop.is_set():
+                return
+            if child.exit_code == 0:
+                self._say(child, index, "ended by itself")
+                return
+            if child.exit_code == EXIT_WRONG_CONFIG:
+                self._exit_code = EXIT_WRONG_CONFIG
+                self.stop()
+                return
+            backoff_s = FIRST_BACKOFF_S if lived_s > STEADY_AFTER_S else backoff_s
+            self._say(child, index, f"{_how(child.exit_code)}; starting it again in {backoff_s:.1f} s")
+            await self._sleep(backoff_s)
+            backoff_s = min(2 * backoff_s, LONGEST_BACKOFF_S)
+
+    async def _run_once(self, child: Child, index: int) -> float:
+        """Start, forward the output, wait; returns how long it lived in seconds."""
+        loop = asyncio.get_running_loop()
+        process = await asyncio.create_subprocess_exec(
+            *child.command,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+            env=child.environment,
+            start_new_session=True,  # Ctrl-C reaches us alone, and we stop them in order
+            preexec_fn=_die_with_parent,
+        )
+        started_s = loop.time()
+        child.starts, child.pid, child.exit_code = child.starts + 1, process.pid, None
+        forwarding = asyncio.create_task(self._forward(process, child, index))
+        stopping = asyncio.create_task(self._stop.wait())
+        ended = asyncio.create_task(process.wait())
+        await asyncio.wait({ended, stopping}, return_when=asyncio.FIRST_COMPLETED)
+        if not ended.done():
+            await self._end(process, ended, child, index)
+        stopping.cancel()
+        child.exit_code, child.pid = await ended, None
+        await forwarding
+        return loop.time() - started_s
+
+    async def _end(
+        self, process: asyncio.subprocess.Process, ended: asyncio.Task[int], child: Child, index: int
+    ) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            process.terminate()
+            process.send_signal(signal.SIGCONT)  # a frozen process cannot hear the first one
+        done, _ = await asyncio.wait({ended}, timeout=STOP_BUDGET_S)
+        if not done:
+            self._say(child, index, f"did not stop within {STOP_BUDGET_S:.0f} s; killed")
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+
+    async def _forward(self, process: asyncio.subprocess.Process, child: Child, index: int) -> None:
+        assert process.stdout is not None
+        while chunk := await _read_line(process.stdout):
+            self._say(child, index, chunk)
+
+    async def _sleep(self, seconds: float) -> None:
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._stop.wait(), seconds)
+
+    def _say(self, child: Child, index: int, line: str) -> None:
+        prefix = f"{child.name:<{self._width}} |"
+        if sys.stderr.isatty():
+            prefix = f"\033[{_COLOURS[index % len(_COLOURS)]}m{prefix}\033[0m"
+        self._write(f"{prefix} {line.rstrip()}\n")
+
+
+def run_supervised(supervisor: Supervisor) -> int:
+    """Run until Ctrl-C or SIGTERM; both stop every child first."""
+
+    async def supervise() -> int:
+        loop = asyncio.get_running_loop()
+        for signum in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(signum, supervisor.stop)
+        return await supervisor.run()
+
+    return asyncio.run(supervise())
+
+
+async def _read_line(stream: asyncio.StreamReader) -> str:
+    try:
+        line = await stream.readline()
+    except ValueError:  # a line longer than the buffer: skip it, keep reading
+        return "(an overlong line was left out)"
+    return line.decode("utf-8", errors="replace")
+
+
+def _how(exit_code: int | None) -> str:
+    if exit_code is not None and exit_code < 0:
+        return f"killed by {signal.Signals(-exit_code).name}"
+    return f"exited with code {exit_code}"
+
+
+def _die_with_parent() -> None:
+    """Ask the kernel to end this child when the supervisor dies, however it dies (prctl(2), Linux)."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _write_stderr(text: str) -> None:
+    sys.stderr.write(text)
+    sys.stderr.flush()
