@@ -60,10 +60,16 @@ def load(config_type: type[C], path: Path | None = None, overrides: Iterable[str
         ConfigError: unreadable, unknown key, wrong type, value outside its limits.
     """
     document, origin = _read(path) if path else ({}, "defaults")
+    config = _convert(config_type, document, origin)
     for override in overrides:
         key, value = _parse_override(override)
         _refuse_unknown(config_type, _nest(key, value), "--set")
         _assign(document, key, value)
+        config = _convert(config_type, document, "--set")
+    return config
+
+
+def _convert(config_type: type[C], document: Mapping[str, Any], origin: str) -> C:
     _refuse_unknown(config_type, document, origin)
     try:
         return msgspec.convert(document, config_type)
@@ -119,7 +125,10 @@ def _nest(key: list[str], value: Any) -> dict[str, Any]:
 
 def _assign(document: dict[str, Any], key: list[str], value: Any) -> None:
     for part in key[:-1]:
-        document = document.setdefault(part, {})
+        nested = document.setdefault(part, {})
+        if not isinstance(nested, dict):
+            raise ConfigError(f"--set {'.'.join(key)}: {part} is a value, not a section")
+        document = nested
     document[key[-1]] = value
 
 
