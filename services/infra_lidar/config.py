@@ -104,9 +104,32 @@ class BlindnessConfig(Section, frozen=True, kw_only=True):
 class ClassifierConfig(Section, frozen=True, kw_only=True):
     """The forest."""
 
+    model: str = ""  # an .npz made by `spotter-infra-lidar train`; empty = the one that is shipped
+    min_confidence: Share = 0.45  # below this an object is called "unknown": an obstacle, but nobody knows which
+
 
 class TrackingConfig(Section, frozen=True, kw_only=True):
-    """The tracker."""
+    """Constant-velocity Kalman filters, Hungarian assignment, lifetimes in seconds."""
+
+    boxes: Literal["visible", "full"] = "visible"  # boxes of the visible part (clusters) or of the whole object
+    position_sigma_m: Positive = 0.15  # error of a box edge ("full": of the centre)
+    height_sigma_m: Positive = 0.3
+    acceleration_sigma: Positive = 2.0  # spectral density of the process noise, m/s^2 per sqrt(Hz)
+    velocity_sigma_mps: Positive = 6.0  # of a new track
+    gate: Positive = 7.81  # squared Mahalanobis distance: 95 % of a chi-square with 3 degrees of freedom
+    class_weight: NotNegative = 1.0  # of the class term in the cost of a pair
+    size_gain: Share = 0.3  # how fast a track's size follows what is seen
+    yaw_gain: Share = 0.3
+    confirm_hits: Annotated[int, Meta(ge=1)] = 3
+    confirm_s: NotNegative = 0.15
+    tentative_gap_s: NotNegative = 0.15  # a new track dies after this long without a detection
+    coast_s: NotNegative = 0.6  # a confirmed one after this long
+    score_s: Positive = 0.5  # time constant of the score
+    vote_s: Positive = 3.0  # how long a class vote counts
+    min_vote: Share = 0.4  # a class needs this share of the votes, or the track is "unknown"
+    movement_m: Positive = 0.5  # a track is standing until it has come this far within movement_s
+    movement_s: Positive = 1.0
+    first_id: Annotated[int, Meta(ge=0, le=9999)] = 0  # several sensors on one host: give each its own
 
 
 class InfraLidarConfig(ServiceConfig, frozen=True, kw_only=True):

@@ -1,0 +1,98 @@
+"""Geometric features of clusters, the article's sets and our own, in one compiled pass.
+
+The definitions are those of the article's table (bonsai89/lidar-perception-pipeline, feature sets of 9 to 35), with
+two changes: heights are above the *local ground* instead of absolute, so that a cluster reads the same on a slope and
+in a centred file; and our own set replaces the 3-D hull, the slowest of all, by the fill of the bird's-eye hull.
+
+Every feature is finite for every cluster, a single point included: what cannot be computed is 0 (1 for
+``hull_point_ratio``, as in the article).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.infra_lidar.feature_kernels import ALL_NAMES, geometry_features
+from services.infra_lidar.feature_neighbours import hull_point_ratio, neighbour_features
+
+_BOX = (
+    "xy_spread", "xy_area", "z_range", "height_to_footprint", "density", "z_25", "z_75", "z_std", "num_points",
+)  # fmt: skip
+_LAYERS = ("layer_frac_0", "layer_frac_1", "layer_frac_2", "layer_frac_3", "layer_frac_4")
+_LOCAL = ("nn_dist_std", "cross_section_mean", "z_range_cleaned", "hull_point_ratio")
+_REDUNDANT = (
+    "x_range", "y_range", "bbox_volume", "z_median", "ev_norm_0", "ev_norm_1", "ev_norm_2", "vertical_uniformity",
+    "bottom_to_top_ratio", "n_components", "largest_component_ratio", "ground_gap_ratio",
+)  # fmt: skip
+_OWN = (
+    "x_range", "y_range", "z_median", "z_bottom", "z_top", "hull_fill", "range_m", "points_by_range",
+    "slice_length_0", "slice_length_1", "slice_length_2", "slice_length_3", "slice_length_4",
+    "slice_width_0", "slice_width_2", "slice_width_4", "ground_gap_ratio",
+)  # fmt: skip
+
+_SET_11 = (*_BOX, "xy_aspect_ratio", "scattering")
+_SET_13 = (*_SET_11, "linearity", "planarity")
+_SET_18 = (*_SET_13, *_LAYERS)
+_SET_19 = (*_SET_18, "cross_section_var")
+_SET_23 = (*_SET_19, *_LOCAL)
+
+FEATURE_SETS: dict[str, tuple[str, ...]] = {
+    "9": _BOX,
+    "11": _SET_11,
+    "13": _SET_13,
+    "18": _SET_18,
+    "19": _SET_19,
+    "23": _SET_23,
+    "35": (*_SET_23, *_REDUNDANT),
+    "shape": tuple(n for n in (*_SET_23, *_OWN) if n not in ("hull_point_ratio", "range_m", "points_by_range")),
+    "spotter": tuple(n for n in (*_SET_23, *_OWN) if n != "hull_point_ratio"),
+}
+"""By name. ``spotter`` is the default; ``shape`` is the same without what needs the distance to the sensor, for
+clusters that were centred when they were stored."""
+
+_NEIGHBOUR_NAMES = ("nn_dist_std", "n_components", "largest_component_ratio")
+
+
+def compute_features(
+    points: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, names: tuple[str, ...]
+) -> np.ndarray:
+    """The features ``names`` of K clusters.
+
+    Args:
+        points: (M, 3) float32, metres, in the levelled frame with the sensor above (0, 0); grouped by cluster.
+        offsets: (K + 1,) int64, cluster k is ``points[offsets[k]:offsets[k + 1]]``.
+        ground_z_m: (K,) height of the local ground under each cluster, metres, in the frame of ``points``.
+        names: which features, in which order (see ``FEATURE_SETS``).
+
+    Returns:
+        (K, F) float32, finite.
+
+    Raises:
+        ValueError: an unknown name, an empty cluster, or shapes that do not belong together.
+    """
+    points, offsets = np.ascontiguousarray(points, np.float32), np.ascontiguousarray(offsets, np.int64)
+    ground = np.ascontiguousarray(ground_z_m, np.float32)
+    _check(points, offsets, ground, names)
+    table = geometry_features(points, offsets, ground)
+    columns = np.array([ALL_NAMES.index(name) for name in names])
+    if any(name in names for name in _NEIGHBOUR_NAMES):
+        with_components = "n_components" in names or "largest_component_ratio" in names
+        first = ALL_NAMES.index("nn_dist_std")
+        table[:, first : first + 3] = neighbour_features(points, offsets, with_components)
+    if "hull_point_ratio" in names:
+        table[:, ALL_NAMES.index("hull_point_ratio")] = hull_point_ratio(points, offsets)
+    return table[:, columns]
+
+
+def _check(points: np.ndarray, offsets: np.ndarray, ground: np.ndarray, names: tuple[str, ...]) -> None:
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points: expected shape (M, 3), got {points.shape}")
+    if offsets.ndim != 1 or len(offsets) != len(ground) + 1:
+        raise ValueError(f"offsets: expected {len(ground) + 1} values for {len(ground)} clusters, got {offsets.shape}")
+    if len(offsets) and (offsets[0] != 0 or offsets[-1] != len(points)):
+        raise ValueError(f"offsets: expected 0 .. {len(points)}, got {offsets[0]} .. {offsets[-1]}")
+    if np.any(np.diff(offsets) < 1):
+        raise ValueError("offsets: every cluster needs at least one point")
+    unknown = sorted(set(names) - set(ALL_NAMES))
+    if unknown:
+        raise ValueError(f"unknown feature(s) {unknown}; known: {', '.join(ALL_NAMES)}")
