@@ -1,0 +1,172 @@
+"""The supervisor with real processes: restart, back-off, prefixed logs, clean stop, refusal."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from common import supervisor as module
+from common.config import ConfigError
+from common.hosts import Plan, children, parse_settings, services_of
+from common.supervisor import Child, Supervisor
+from common.topics import SERVICES
+
+SLEEPER = """
+import signal, sys
+signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+print('up', flush=True)
+while True:
+    signal.pause()
+"""
+
+
+def python(name: str, code: str) -> Child:
+    return Child(name, [sys.executable, "-c", code])
+
+
+async def until(condition: Callable[[], object]) -> None:
+    async with asyncio.timeout(20):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_a_killed_child_comes_back_and_the_others_are_left_alone() -> None:
+    lines: list[str] = []
+    killed, spared = python("killed", SLEEPER), python("spared", SLEEPER)
+
+    async def scenario() -> int:
+        supervisor = Supervisor([killed, spared], write=lines.append)
+        running = asyncio.create_task(supervisor.run())
+        await until(lambda: sum("up" in line for line in lines) == 2)
+        spared_pid, first_pid = spared.pid, killed.pid
+        assert first_pid is not None
+        os.kill(first_pid, signal.SIGKILL)
+        await until(lambda: sum("killed | up" in line for line in lines) == 2)
+        assert killed.pid != first_pid
+        assert spared.pid == spared_pid
+        pids = [killed.pid, spared.pid]
+        supervisor.stop()
+        code = await running
+        assert not any(alive(pid) for pid in pids if pid)
+        return code
+
+    assert asyncio.run(scenario()) == 0
+    assert any("killed by SIGKILL; starting it again in 0.2 s" in line for line in lines)
+    assert all(line.startswith(("killed |", "spared |")) for line in lines)
+
+
+def test_a_wrong_config_stops_everything_with_its_exit_code() -> None:
+    lines: list[str] = []
+    broken = python("broken", "import sys; print('spotter: radar.toml: bad'); sys.exit(2)")
+    supervisor = Supervisor([python("other", SLEEPER), broken], write=lines.append)
+    assert asyncio.run(supervisor.run()) == 2
+    assert any("radar.toml: bad" in line for line in lines)
+
+
+def test_a_child_that_ends_by_itself_is_not_started_again() -> None:
+    child = python("short", "print('done')")
+    assert asyncio.run(Supervisor([child], write=lambda _: None).run()) == 0
+    assert child.starts == 1
+
+
+def test_back_off_grows_and_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[str] = []
+    monkeypatch.setattr(module, "FIRST_BACKOFF_S", 0.1)
+    monkeypatch.setattr(module, "LONGEST_BACKOFF_S", 0.3)
+    child = python("failing", "import sys; sys.exit(7)")
+
+    async def scenario() -> None:
+        supervisor = Supervisor([child], write=lines.append)
+        running = asyncio.create_task(supervisor.run())
+        await until(lambda: child.starts >= 5)
+        supervisor.stop()
+        await running
+
+    asyncio.run(scenario())
+    waits = [line.split(" in ")[1].split(" s")[0] for line in lines if "code 7" in line]
+    assert waits[:4] == ["0.1", "0.2", "0.3", "0.3"]
+
+
+def test_a_deaf_child_is_killed_after_the_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "STOP_BUDGET_S", 0.2)
+    lines: list[str] = []
+    deaf = python(
+        "deaf", "import signal; signal.signal(15, signal.SIG_IGN); print('up', flush=True)\nwhile True: signal.pause()"
+    )
+
+    async def scenario() -> None:
+        supervisor = Supervisor([deaf], write=lines.append)
+        running = asyncio.create_task(supervisor.run())
+        await until(lambda: lines)
+        supervisor.stop()
+        await running
+
+    asyncio.run(scenario())
+    assert any("did not stop within" in line for line in lines)
+
+
+def test_children_die_with_a_killed_supervisor(tmp_path: Path) -> None:
+    pid_file = tmp_path / "pid"
+    code = (
+        "import asyncio, sys\n"
+        "from common.supervisor import Child, Supervisor\n"
+        f"child = Child('c', [sys.executable, '-c', {SLEEPER!r}])\n"
+        "def note(line):\n"
+        f"    open({str(pid_file)!r}, 'w').write(str(child.pid))\n"
+        "asyncio.run(Supervisor([child], write=note).run())\n"
+    )
+
+    async def scenario() -> None:
+        process = await asyncio.create_subprocess_exec(sys.executable, "-c", code)
+        await until(lambda: pid_file.exists() and pid_file.read_text())
+        pid = int(pid_file.read_text())
+        process.kill()
+        await process.wait()
+        await until(lambda: not alive(pid))
+
+    asyncio.run(scenario())
+
+
+def test_hosts_know_their_services() -> None:
+    assert [row.name for row in services_of("pi0")] == ["radar"]
+    with pytest.raises(ConfigError, match="known hosts: infra0, jetson0, pi0"):
+        services_of("pi9")
+
+
+def test_a_plan_becomes_commands(tmp_path: Path) -> None:
+    (tmp_path / "radar.toml").write_text("")
+    plan = Plan(
+        listen=("tcp/127.0.0.1:1",),
+        config_dir=tmp_path,
+        sources={"radar": "sim:empty"},
+        settings=parse_settings(["radar.cfar.threshold_db=14"]),
+    )
+    started = {child.name: child.command for child in children(list(SERVICES), plan)}
+    assert list(started) == ["router", "radar", "lidar", "camera", "fusion", "dashboard", "infra_lidar"]
+    assert started["router"][1:] == ["router", "--listen", "tcp/127.0.0.1:1"]
+    radar = started["radar"]
+    assert radar[0].endswith("spotter-radar")
+    assert radar[radar.index("--config") + 1] == str(tmp_path / "radar.toml")
+    assert "cfar.threshold_db=14" in radar
+    assert radar[-2:] == ["--source", "sim:empty"]
+    assert "--config" not in started["lidar"]
+
+
+@pytest.mark.parametrize("text", ["radar", "radar.x", "sonar.a=1"])
+def test_settings_name_a_service(text: str) -> None:
+    with pytest.raises(ConfigError, match="--set"):
+        parse_settings([text])
