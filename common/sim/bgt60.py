@@ -1,0 +1,155 @@
+"""Raw chirps of a BGT60TR13C: the beat signal of every receiver, as the 12-bit ADC delivers it.
+
+FMCW with an up-chirp (Richards, Fundamentals of Radar Signal Processing, 2nd ed., section 2.6; data sheet V2.4.9):
+a target at R = R0 + v t beats with the phase 4 pi R (f0 + S tau) / c, tau within the chirp. A closing target's phase
+falls from chirp to chirp: negative Doppler frequency in the positive half of the range spectrum.
+
+Receivers: RX1 and RX3 2.5 mm apart on y, RX2 2.5 mm above RX3. A target at the left (positive azimuth) is farther from
+RX3 than from RX1, so azimuth = asin(lambda (phase3 - phase1) / (2 pi 2.5 mm)); one above is nearer to RX2 than to RX3.
+
+Within one frame a target's range cell is held; its phase is exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.geometry import invert, transform_points
+from common.sim.model import DeviceUnplugged, Scenario, WorldState, noise_rng
+from common.sim.solids import BOX, CYLINDER, Solids
+from common.sim.world import T_vehicle_radar, world_at
+
+C_MPS = 299_792_458.0
+RX_SPACING_M = 2.5e-3
+MID_SCALE, FULL_SCALE = 2048, 4095
+NOISE_LSB = 6.0
+_FIELD_OF_VIEW_RAD = np.radians(75.0)
+_WITHIN_M = 12.0
+# Peak amplitude in ADC steps of a square metre of surface at 1 m, by solids.PARTS.
+_ECHO_LSB = np.array([250.0, 120.0, 60.0, 700.0, 420.0, 420.0, 500.0, 700.0, 200.0, 60.0, 300.0])
+
+
+@dataclass(frozen=True)
+class Waveform:
+    """The part of the chirp that is sampled; ``start_frequency_hz`` is the frequency at the first sample."""
+
+    start_frequency_hz: float = 60.093e9
+    sampled_bandwidth_hz: float = 1.27e9
+    samples: int = 128
+    chirps: int = 64
+    sample_rate_hz: float = 1.25e6
+    chirp_period_s: float = 0.24e-3
+    rx: tuple[int, ...] = (1, 2, 3)  # active receivers, ascending
+    hp_cutoff_hz: float = 20e3
+    lp_cutoff_hz: float = 500e3
+
+    @property
+    def slope_hz_per_s(self) -> float:
+        return self.sampled_bandwidth_hz * self.sample_rate_hz / self.samples
+
+    @property
+    def wavelength_m(self) -> float:
+        """At the middle of the sampled sweep."""
+        return C_MPS / (self.start_frequency_hz + 0.5 * self.sampled_bandwidth_hz)
+
+
+@dataclass(frozen=True)
+class Target:
+    """A point that reflects; ``amplitude_lsb`` is its peak in ADC steps at 1 m (it falls with the range squared)."""
+
+    range_m: float
+    velocity_mps: float = 0.0  # closing is negative
+    azimuth_rad: float = 0.0  # left is positive
+    amplitude_lsb: float = 300.0
+    elevation_rad: float = 0.0
+
+
+# What leaks from the transmitter into the receivers and the radome: strong, very near, static.
+LEAKAGE = (Target(0.04, amplitude_lsb=8.0), Target(0.09, amplitude_lsb=9.0))
+
+
+def simulate(
+    targets: tuple[Target, ...] | list[Target], waveform: Waveform, noise_lsb: float = NOISE_LSB, seed: int = 0
+) -> np.ndarray:
+    """One frame of explicit targets.
+
+    Returns:
+        (rx, chirp, sample) uint16, 0..4095 about mid-scale 2048; clipped as the ADC clips.
+    """
+    rng = np.random.Generator(np.random.SFC64(seed))
+    return _digitise(_beat(_table(targets), waveform), noise_lsb, rng)
+
+
+def frame(name: str | Scenario, t_s: float, waveform: Waveform | None = None) -> np.ndarray:
+    """The frame whose first chirp starts at ``t_s``: (rx, chirp, sample) uint16.
+
+    Raises:
+        DeviceUnplugged: fault ``radar_unplugged``.
+        TimeoutError: fault ``radar_silent``: no frame arrives although the device answers.
+    """
+    world = world_at(name, t_s)
+    if "radar_unplugged" in world.faults:
+        raise DeviceUnplugged("simulated radar is unplugged")
+    if "radar_silent" in world.faults:
+        raise TimeoutError("simulated radar sends no frame")
+    rng = noise_rng(world.scenario, world.t_s, "bgt60")
+    echoes = np.vstack([_table(LEAKAGE), scatterers(world)])
+    return _digitise(_beat(echoes, waveform or Waveform()), NOISE_LSB, rng)
+
+
+def scatterers(world: WorldState) -> np.ndarray:
+    """(T, 5) range, radial velocity, azimuth, elevation, amplitude at 1 m: one per solid in view, radar frame."""
+    T_map_radar = world.T_map_vehicle @ T_vehicle_radar
+    origin = T_map_radar[:3, 3]
+    solids = world.solids_near(origin, _WITHIN_M)
+    point = transform_points(invert(T_map_radar), _facing_point(solids, origin))
+    range_m = np.linalg.norm(point, axis=1)
+    velocity = np.sum(solids.velocity_mps @ T_map_radar[:3, :3] * point, axis=1) / range_m
+    azimuth, elevation = np.arctan2(point[:, 1], point[:, 0]), np.arcsin(point[:, 2] / range_m)
+    half = np.sort(np.sqrt(np.sum(solids.from_unit**2, axis=1)), axis=1)
+    area_m2 = np.minimum(4.0 * half[:, 1] * half[:, 2], 1.0)  # a flat wall reflects from one Fresnel zone only
+    pattern = np.cos(azimuth) ** 2 * np.cos(elevation) ** 2
+    amplitude = _ECHO_LSB[solids.part] * np.sqrt(area_m2) * pattern
+    seen = (np.abs(azimuth) < _FIELD_OF_VIEW_RAD) & (range_m > 0.02)
+    return np.column_stack([range_m, velocity, azimuth, elevation, amplitude])[seen]
+
+
+def _facing_point(solids: Solids, origin_m: np.ndarray) -> np.ndarray:
+    """(P, 3) a point on each solid's surface that faces the radar: where it mainly reflects."""
+    u = np.einsum("pij,pj->pi", solids.to_unit, origin_m - solids.centre_m)
+    ball = u / np.maximum(np.linalg.norm(u, axis=1), 1.0)[:, None]
+    drum = u / np.maximum(np.hypot(u[:, 0], u[:, 1]), 1.0)[:, None]
+    drum[:, 2] = np.clip(u[:, 2], -1.0, 1.0)
+    shape = solids.shape[:, None]
+    u = np.where(shape == BOX, np.clip(u, -1.0, 1.0), np.where(shape == CYLINDER, drum, ball))
+    return solids.centre_m + np.einsum("pij,pj->pi", solids.from_unit, u)
+
+
+def _table(targets: tuple[Target, ...] | list[Target]) -> np.ndarray:
+    rows = [(t.range_m, t.velocity_mps, t.azimuth_rad, t.elevation_rad, t.amplitude_lsb) for t in targets]
+    return np.array(rows, float).reshape(-1, 5)
+
+
+def _beat(echoes: np.ndarray, w: Waveform) -> np.ndarray:
+    """(rx, chirp, sample) float64 beat signal in ADC steps: a sum of separable phasors, so one matrix product."""
+    range_m, velocity, azimuth, elevation, strength = echoes.T
+    beat_hz = 2.0 * w.slope_hz_per_s * range_m / C_MPS + 2.0 * velocity * w.start_frequency_hz / C_MPS
+    high_pass = beat_hz / np.hypot(beat_hz, w.hp_cutoff_hz)
+    low_pass = 1.0 / np.sqrt(1.0 + (beat_hz / w.lp_cutoff_hz) ** 8)
+    amplitude = strength * high_pass * low_pass / np.maximum(range_m, 0.03) ** 2
+    chirp_s = np.arange(w.chirps) * w.chirp_period_s
+    slow = 4.0 * np.pi * w.start_frequency_hz / C_MPS * (range_m + velocity * chirp_s[:, None])  # (chirp, target)
+    turn = 2.0 * np.pi * RX_SPACING_M / w.wavelength_m
+    lag = {1: 0.0 * azimuth, 3: turn * np.sin(azimuth) * np.cos(elevation)}
+    lag[2] = lag[3] - turn * np.sin(elevation)
+    per_rx = np.stack([amplitude * np.exp(1j * (slow + lag[rx])) for rx in w.rx])
+    fast = np.exp(2j * np.pi * beat_hz[:, None] * np.arange(w.samples) / w.sample_rate_hz)  # (target, sample)
+    product = per_rx.reshape(-1, len(echoes)) @ fast
+    return product.real.reshape(len(w.rx), w.chirps, w.samples)
+
+
+def _digitise(signal: np.ndarray, noise_lsb: float, rng: np.random.Generator) -> np.ndarray:
+    noise = noise_lsb * rng.standard_normal(signal.shape, np.float32)
+    return np.clip(np.rint(MID_SCALE + signal + noise), 0, FULL_SCALE).astype(np.uint16)

@@ -1,0 +1,151 @@
+"""The vocabulary of the simulated world: actors, the state of the world at one moment, scenarios."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from common.geometry import pose_2d
+from common.sim.bodies import DEFAULT_SIZE_M, body
+from common.sim.motion import Motion
+from common.sim.scene import Scene
+from common.sim.solids import Solids, join
+
+FAULTS = (
+    "lidar_blocked",
+    "lidar_unplugged",
+    "camera_dark",
+    "camera_unplugged",
+    "radar_silent",
+    "radar_unplugged",
+)
+
+_BODY_REACH_M = 7.0  # no part of a body is farther from its foot
+_LIMB_STEP_S = 1e-3  # over which the velocity of legs, arms and cranks is taken
+
+
+class DeviceUnplugged(OSError):
+    """The simulated device is not there: what a driver reports when the plug is pulled."""
+
+
+@dataclass(frozen=True, eq=False)
+class Actor:
+    """One person or vehicle; the box stands on its foot, map frame."""
+
+    actor_id: int
+    kind: str  # pedestrian, cyclist, car, bus, truck
+    position_m: np.ndarray  # (3,) centre of the box's foot
+    yaw_rad: float
+    size_m: tuple[float, float, float]  # length, width, height
+    velocity_mps: np.ndarray  # (3,)
+    travelled_m: float = 0.0
+
+    @property
+    def T_map_body(self) -> np.ndarray:
+        return pose_2d(self.position_m[0], self.position_m[1], self.yaw_rad, self.position_m[2])
+
+    @cached_property
+    def solids(self) -> Solids:
+        """The body in the map frame, as every sensor sees it; limbs have their own velocity."""
+        speed = float(np.linalg.norm(self.velocity_mps))
+        now = body(self.kind, self.size_m, self.travelled_m, speed)
+        soon = body(self.kind, self.size_m, self.travelled_m + speed * _LIMB_STEP_S, speed)
+        limbs_mps = (soon.centre_m - now.centre_m) @ self.T_map_body[:3, :3].T / _LIMB_STEP_S
+        return now.placed(self.T_map_body, self.actor_id, self.velocity_mps + limbs_mps)
+
+
+@dataclass(frozen=True, eq=False)
+class WorldState:
+    """Everything that is true at one moment."""
+
+    scenario: str
+    t_s: float
+    actors: tuple[Actor, ...]
+    T_map_vehicle: np.ndarray  # (4, 4)
+    vehicle_speed_mps: float
+    vehicle_yaw_rate_radps: float
+    faults: frozenset[str]
+    scene: Scene
+
+    @cached_property
+    def solids(self) -> Solids:
+        """Fixtures and all bodies, map frame."""
+        return join([self.scene.fixtures, *(actor.solids for actor in self.actors)])
+
+    def solids_near(self, point_m: np.ndarray, within_m: float) -> Solids:
+        """Those with a part within ``within_m`` of a point, map frame; bodies far away are not even built."""
+        reach_m = within_m + _BODY_REACH_M
+        close = [a for a in self.actors if math.dist(a.position_m[:2], point_m[:2]) < reach_m]
+        return join([self.scene.fixtures, *(actor.solids for actor in close)]).near(point_m, within_m)
+
+
+@dataclass(frozen=True)
+class Player:
+    """An actor and the way it moves."""
+
+    actor_id: int
+    kind: str
+    motion: Motion
+    size_m: tuple[float, float, float] | None = None
+
+    def at(self, t_s: float, scene: Scene) -> Actor:
+        pose = self.motion.at(t_s)
+        slope = -scene.ground.normal(pose.x_m, pose.y_m)
+        climb = -(slope[0] * pose.vx_mps + slope[1] * pose.vy_mps) / slope[2]
+        z = float(scene.ground.height(pose.x_m, pose.y_m))
+        return Actor(
+            self.actor_id,
+            self.kind,
+            np.array([pose.x_m, pose.y_m, z]),
+            pose.yaw_rad,
+            self.size_m or DEFAULT_SIZE_M[self.kind],
+            np.array([pose.vx_mps, pose.vy_mps, climb]),
+            pose.travelled_m,
+        )
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault that is there from ``start_s`` until ``end_s`` of the scenario."""
+
+    name: str
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A world that repeats itself every ``length_s``."""
+
+    name: str
+    length_s: float
+    scene: Scene
+    cast: tuple[Player, ...] = ()
+    faults: tuple[Fault, ...] = field(default=())
+
+    def at(self, t_s: float) -> WorldState:
+        """The state at any time; beyond the length it repeats. A pure function of the time."""
+        return _state(self, t_s % self.length_s)
+
+
+@lru_cache(maxsize=64)
+def _state(scenario: Scenario, t_s: float) -> WorldState:
+    return WorldState(
+        scenario=scenario.name,
+        t_s=t_s,
+        actors=tuple(player.at(t_s, scenario.scene) for player in scenario.cast),
+        T_map_vehicle=np.eye(4),
+        vehicle_speed_mps=0.0,
+        vehicle_yaw_rate_radps=0.0,
+        faults=frozenset(f.name for f in scenario.faults if f.start_s <= t_s < f.end_s),
+        scene=scenario.scene,
+    )
+
+
+def noise_rng(name: str, t_s: float, what: str) -> np.random.Generator:
+    """A generator that depends on the scenario, the time (to the microsecond) and the sensor only."""
+    key = [*f"{name}/{what}".encode(), math.floor(t_s * 1e6 + 0.5)]
+    return np.random.Generator(np.random.SFC64(key))

@@ -1,0 +1,67 @@
+"""Rays against solids in plain numpy: every ray against every solid, for few of both and as a reference.
+
+Slab and quadric tests in the unit frame of each solid (Glassner, An Introduction to Ray Tracing, 1989, ch. 2).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from common.sim.solids import BOX, CYLINDER, Solids
+
+
+def _ball(o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters where rays o + t d enter and leave the unit ball (in as many dimensions as given)."""
+    a = np.sum(d * d, axis=-1)
+    b = np.sum(o * d, axis=-1)
+    c = np.sum(o * o, axis=-1) - 1.0
+    flat = a < 1e-18  # parallel to the axis: always inside, or never
+    root = b * b - a * c
+    hit = np.where(flat, c <= 0, root >= 0)
+    spread = np.sqrt(np.maximum(root, 0.0))
+    safe = np.where(flat, 1.0, a)
+    enter = np.where(flat, -np.inf, (-b - spread) / safe)
+    leave = np.where(flat, np.inf, (-b + spread) / safe)
+    return np.where(hit, enter, np.inf), np.where(hit, leave, -np.inf)
+
+
+def _slab(o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters where rays enter and leave |component| <= 1."""
+    safe = np.where(np.abs(d) < 1e-12, 1e-12, d)
+    first, second = (-1.0 - o) / safe, (1.0 - o) / safe
+    return np.minimum(first, second), np.maximum(first, second)
+
+
+def cast(
+    origin_m: np.ndarray, direction: np.ndarray, solids: Solids, max_range_m: float = np.inf
+) -> tuple[np.ndarray, np.ndarray]:
+    """First hit of each ray from one origin.
+
+    Args:
+        origin_m: (3,) in the solids' frame.
+        direction: (N, 3) unit vectors.
+
+    Returns:
+        range_m (N,) float64, inf without a hit; index (N,) int of the solid hit, -1 without.
+    """
+    n = len(direction)
+    if len(solids) == 0:
+        return np.full(n, np.inf), np.full(n, -1)
+    o = np.einsum("pij,pj->pi", solids.to_unit, origin_m - solids.centre_m)[None]  # (1, P, 3)
+    d = np.einsum("pij,nj->npi", solids.to_unit, direction)  # (N, P, 3)
+    o = np.broadcast_to(o, d.shape)
+    enter, leave = _interval(o, d, solids.shape)
+    t = np.where((enter <= leave) & (enter > 0.0) & (enter <= max_range_m), enter, np.inf)
+    index = np.argmin(t, axis=1)
+    range_m = t[np.arange(n), index]
+    return range_m, np.where(np.isfinite(range_m), index, -1)
+
+
+def _interval(o: np.ndarray, d: np.ndarray, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Entering and leaving parameters (N, P) of rays in the unit frames."""
+    is_box, is_drum = shape == BOX, shape == CYLINDER
+    ball, drum = _ball(o, d), _ball(o[..., :2], d[..., :2])
+    x, y, z = (_slab(o[..., k], d[..., k]) for k in range(3))
+    enter = np.select([is_box, is_drum], [np.maximum(np.maximum(x[0], y[0]), z[0]), np.maximum(drum[0], z[0])], ball[0])
+    leave = np.select([is_box, is_drum], [np.minimum(np.minimum(x[1], y[1]), z[1]), np.minimum(drum[1], z[1])], ball[1])
+    return enter, leave

@@ -1,0 +1,117 @@
+"""Solids that rays can hit: the unit sphere, cylinder and cube, each under an affine map.
+
+Every sensor looks at the same solids: the 2-D lidar cuts them, the 128-beam lidar casts rays at them, the radar takes
+its scatterers from them, the camera projects them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+SPHERE, CYLINDER, BOX, FOLIAGE = range(4)  # the cylinder stands on z; foliage is a sphere that lets some rays through
+
+# What a point belongs to; `Solids.kind` and the labels of a scan index this tuple.
+KINDS = ("ground", "wall", "tree", "pole", "bush", "pedestrian", "cyclist", "car", "bus", "truck")
+# What a solid is made of: reflectivity at 905 nm and the camera's paint.
+PARTS = ("concrete", "wood", "leaves", "metal", "cloth", "trousers", "skin", "paint", "glass", "rubber", "lamp")
+REFLECTIVITY = np.array([0.45, 0.25, 0.5, 0.4, 0.4, 0.25, 0.5, 0.6, 0.1, 0.06, 0.9])
+SCENE_ID = -1
+GROUND_ID = -2
+
+
+@dataclass(frozen=True)
+class Solids:
+    """P solids in one frame. A point u of the unit shape lies at ``centre_m + from_unit @ u``."""
+
+    shape: np.ndarray  # (P,) uint8: SPHERE, CYLINDER, BOX, FOLIAGE
+    centre_m: np.ndarray  # (P, 3) float64
+    from_unit: np.ndarray  # (P, 3, 3) float64: orthogonal columns, their lengths are the half sizes in metres
+    kind: np.ndarray  # (P,) uint8 index into KINDS
+    part: np.ndarray  # (P,) uint8 index into PARTS
+    owner: np.ndarray  # (P,) int32 actor id, SCENE_ID for what stands there
+    velocity_mps: np.ndarray  # (P, 3) float64
+
+    def __len__(self) -> int:
+        return len(self.shape)
+
+    @property
+    def to_unit(self) -> np.ndarray:
+        """(P, 3, 3) the inverse of ``from_unit``: scaled transpose, because the columns are orthogonal."""
+        return self.from_unit.transpose(0, 2, 1) / np.sum(self.from_unit**2, axis=1)[:, :, None]
+
+    @property
+    def radius_m(self) -> np.ndarray:
+        """(P,) radius of a ball about the centre that holds the solid."""
+        half = np.sqrt(np.sum(self.from_unit**2, axis=1))
+        round_m = half.max(axis=1)
+        drum_m = np.hypot(np.maximum(half[:, 0], half[:, 1]), half[:, 2])
+        box_m = np.sqrt(np.sum(half**2, axis=1))
+        return np.select([self.shape == CYLINDER, self.shape == BOX], [drum_m, box_m], round_m)
+
+    def take(self, index: np.ndarray) -> Solids:
+        return Solids(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+
+    def near(self, point_m: np.ndarray, within_m: float) -> Solids:
+        """Those with a part within ``within_m`` of a point."""
+        return self.take(np.linalg.norm(self.centre_m - point_m, axis=1) - self.radius_m <= within_m)
+
+    def placed(self, T_map_body: np.ndarray, owner: int, velocity_mps: np.ndarray) -> Solids:
+        """The same solids carried from the body's frame into the map by a rigid transform."""
+        rotation = T_map_body[:3, :3]
+        return Solids(
+            self.shape,
+            self.centre_m @ rotation.T + T_map_body[:3, 3],
+            rotation @ self.from_unit,
+            self.kind,
+            self.part,
+            np.full(len(self), owner, np.int32),
+            np.broadcast_to(velocity_mps, (len(self), 3)),
+        )
+
+
+def join(parts: list[Solids]) -> Solids:
+    """All solids of the list as one; the list is not empty."""
+    return Solids(*(np.concatenate([getattr(p, name) for p in parts]) for name in Solids.__dataclass_fields__))
+
+
+def solid(
+    shape: int,
+    centre_m: tuple[float, float, float],
+    half_m: tuple[float, float, float],
+    kind: str,
+    part: str,
+    rotation: np.ndarray | None = None,
+) -> Solids:
+    """One solid with the given half sizes, turned by ``rotation`` (3, 3)."""
+    turn = np.eye(3) if rotation is None else rotation
+    return Solids(
+        np.array([shape], np.uint8),
+        np.array([centre_m], float),
+        (turn * np.asarray(half_m, float))[None],
+        np.array([KINDS.index(kind)], np.uint8),
+        np.array([PARTS.index(part)], np.uint8),
+        np.array([SCENE_ID], np.int32),
+        np.zeros((1, 3)),
+    )
+
+
+def limb(start_m: np.ndarray, end_m: np.ndarray, radius_m: float, kind: str, part: str) -> Solids:
+    """A straight cylinder from one point to another: a leg, an arm, a tube of a bicycle."""
+    start, end = np.asarray(start_m, float), np.asarray(end_m, float)
+    along = end - start
+    length = float(np.linalg.norm(along))
+    w = along / length
+    u = np.cross([0.0, 1.0, 0.0] if abs(w[1]) < 0.9 else [1.0, 0.0, 0.0], w)
+    u /= np.linalg.norm(u)
+    rotation = np.column_stack([u, np.cross(w, u), w])
+    centre = 0.5 * (start + end)
+    return solid(CYLINDER, (centre[0], centre[1], centre[2]), (radius_m, radius_m, 0.5 * length), kind, part, rotation)
+
+
+def box(x_m: tuple[float, float], y_m: tuple[float, float], z_m: tuple[float, float], kind: str, part: str) -> Solids:
+    """An upright box between two coordinates on each axis."""
+    low, high = np.array([x_m[0], y_m[0], z_m[0]]), np.array([x_m[1], y_m[1], z_m[1]])
+    (cx, cy, cz), (hx, hy, hz) = 0.5 * (low + high), 0.5 * (high - low)
+    return solid(BOX, (cx, cy, cz), (hx, hy, hz), kind, part)
