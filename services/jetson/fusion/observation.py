@@ -1,0 +1,23 @@
+"""What fusion sees of the world at one moment: everything that arrived, who is there, and the time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from common.presence import Instance
+from common.pubsub import Received
+from services.jetson.fusion.clocks import ClockSample
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """One step's input. Recorded observations replayed through a new pipeline give the same verdicts."""
+
+    now_s: float  # monotonic
+    now_ns: int  # UTC
+    received: tuple[Received[Any], ...] = ()
+    present: frozenset[Instance] = frozenset()
+    isolated: bool = False
+    clock_samples: tuple[ClockSample, ...] = ()
+    undecodable: dict[str, str] = field(default_factory=dict)  # by topic: what was wrong with the last refused payload

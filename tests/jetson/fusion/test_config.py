@@ -1,0 +1,47 @@
+"""The shipped file is the documentation of the defaults."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from common.config import ConfigError, default_text, load
+from services.jetson.fusion import config as fusion_config
+from services.jetson.fusion.config import FusionConfig
+
+FILE = Path(fusion_config.__file__).parent / "fusion.toml"
+
+
+def test_the_file_loads_and_equals_the_defaults() -> None:
+    assert load(FusionConfig, FILE) == FusionConfig()
+
+
+def test_the_file_lists_every_key() -> None:
+    written = tomllib.loads(FILE.read_text())
+    defaults = default_text(FusionConfig)
+
+    def keys(table: dict[str, object], prefix: str = "") -> set[str]:
+        found = set()
+        for key, value in table.items():
+            found |= keys(value, f"{prefix}{key}.") if isinstance(value, dict) and value else {prefix + key}
+        return found
+
+    assert keys(written) == keys(defaults)
+
+
+@pytest.mark.parametrize(
+    ("setting", "complaint"),
+    [
+        ("rules.suppression=sometimes", "suppression"),
+        ("rules.hold_s=-1", "hold_s"),
+        ("health.recovery_frames=0", "recovery_frames"),
+        ("health.verdict_period_s=0.2", "verdict_period_s"),
+        ("sensors.radar.host=Pi 0", "host"),
+        ("roadside.pose=1", "no such key"),
+    ],
+)
+def test_a_wrong_value_is_refused_by_name(setting: str, complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        load(FusionConfig, None, [setting])
