@@ -28,7 +28,7 @@ NOISE_LSB = 6.0
 _FIELD_OF_VIEW_RAD = np.radians(75.0)
 _WITHIN_M = 12.0
 # Peak amplitude in ADC steps of a square metre of surface at 1 m, by solids.PARTS.
-_ECHO_LSB = np.array([250.0, 120.0, 60.0, 700.0, 420.0, 420.0, 500.0, 700.0, 200.0, 60.0, 300.0])
+_ECHO_LSB = np.array([250.0, 120.0, 60.0, 700.0, 550.0, 150.0, 500.0, 700.0, 200.0, 60.0, 300.0])
 
 
 @dataclass(frozen=True)

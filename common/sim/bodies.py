@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from common.sim.solids import SPHERE, Solids, box, join, limb, solid
+from common.sim.solids import SPHERE, Solids, box, join, limbs, solid
 
 DEFAULT_SIZE_M: dict[str, tuple[float, float, float]] = {
     "pedestrian": (0.55, 0.60, 1.72),
@@ -36,46 +36,49 @@ def body(kind: str, size_m: tuple[float, float, float], travelled_m: float = 0.0
 
 def _pedestrian(size_m: tuple[float, float, float], phase_rad: float, effort: float) -> Solids:
     """Torso, head, two legs that swing about the hip and two arms that swing against them."""
-    height = size_m[2] / 1.72
-    broad = size_m[1] / 0.60
-    parts = [
+    height, broad = size_m[2] / 1.72, size_m[1] / 0.60
+    side = np.array([1.0, -1.0])
+    swing = side * 0.30 * effort * np.sin(phase_rad)
+    hip = np.array([[0.0, s * 0.10 * broad, 0.88 * height] for s in side])
+    shoulder = np.array([[0.0, s * 0.235 * broad, 1.38 * height] for s in side])
+    down = np.column_stack([np.sin(swing), [0.0, 0.0], -np.cos(swing)])
+    foot = hip + 0.88 * height * down
+    hand = shoulder + 0.62 * height * down * [-1.0, 1.0, 1.0]
+    trunk = [
         solid(SPHERE, (0.0, 0.0, 1.16 * height), (0.13, 0.20 * broad, 0.36 * height), "pedestrian", "cloth"),
         solid(SPHERE, (0.02, 0.0, 1.60 * height), (0.10, 0.085, 0.12 * height), "pedestrian", "skin"),
     ]
-    for side in (1.0, -1.0):
-        swing = side * 0.30 * effort * np.sin(phase_rad)
-        hip = np.array([0.0, side * 0.10 * broad, 0.88 * height])
-        foot = hip + 0.88 * height * np.array([np.sin(swing), 0.0, -np.cos(swing)])
-        shoulder = np.array([0.0, side * 0.235 * broad, 1.38 * height])
-        hand = shoulder + 0.62 * height * np.array([np.sin(-0.8 * swing), 0.0, -np.cos(0.8 * swing)])
-        parts += [limb(foot, hip, 0.075, "pedestrian", "trousers"), limb(hand, shoulder, 0.045, "pedestrian", "cloth")]
-    return join(parts)
+    parts = ["trousers", "trousers", "cloth", "cloth"]
+    radius = [0.075, 0.075, 0.045, 0.045]
+    return join([*trunk, limbs(np.vstack([foot, hand]), np.vstack([hip, shoulder]), radius, "pedestrian", parts)])
+
+
+# A bicycle of 1.75 m with its rider: start, end (metres), radius, part.
+_BICYCLE = (
+    ((-0.53, -0.02, 0.34), (-0.53, 0.02, 0.34), 0.34, "rubber"),
+    ((0.53, -0.02, 0.34), (0.53, 0.02, 0.34), 0.34, "rubber"),
+    ((-0.53, 0.0, 0.34), (-0.18, 0.0, 0.88), 0.02, "metal"),
+    ((-0.18, 0.0, 0.80), (0.38, 0.0, 0.82), 0.02, "metal"),
+    ((-0.05, 0.0, 0.30), (0.38, 0.0, 0.82), 0.025, "metal"),
+    ((0.53, 0.0, 0.34), (0.36, 0.0, 1.02), 0.02, "metal"),
+    ((0.38, -0.28, 1.04), (0.38, 0.28, 1.04), 0.018, "metal"),
+    ((-0.20, 0.0, 0.92), (0.16, 0.0, 1.42), 0.16, "cloth"),
+    ((0.12, 0.19, 1.36), (0.38, 0.25, 1.06), 0.045, "cloth"),
+    ((0.12, -0.19, 1.36), (0.38, -0.25, 1.06), 0.045, "cloth"),
+)
 
 
 def _cyclist(size_m: tuple[float, float, float], crank_rad: float) -> Solids:
-    """A rider bent over a frame with two thin wheels."""
-    scale = np.array([size_m[0] / 1.75, size_m[1] / 0.60, size_m[2] / 1.75])
-
-    def tube(start: tuple[float, float, float], end: tuple[float, float, float], radius: float, part: str) -> Solids:
-        return limb(np.multiply(start, scale), np.multiply(end, scale), radius, "cyclist", part)
-
-    parts = [
-        tube((-0.53, -0.02, 0.34), (-0.53, 0.02, 0.34), 0.34, "rubber"),
-        tube((0.53, -0.02, 0.34), (0.53, 0.02, 0.34), 0.34, "rubber"),
-        tube((-0.53, 0, 0.34), (-0.18, 0, 0.88), 0.02, "metal"),
-        tube((-0.18, 0, 0.80), (0.38, 0, 0.82), 0.02, "metal"),
-        tube((-0.05, 0, 0.30), (0.38, 0, 0.82), 0.025, "metal"),
-        tube((0.53, 0, 0.34), (0.36, 0, 1.02), 0.02, "metal"),
-        tube((0.38, -0.28, 1.04), (0.38, 0.28, 1.04), 0.018, "metal"),
-        tube((-0.20, 0, 0.92), (0.16, 0, 1.42), 0.16, "cloth"),
-        solid(SPHERE, tuple(np.multiply((0.24, 0.0, 1.62), scale)), (0.11, 0.09, 0.13), "cyclist", "skin"),
-    ]
+    """A rider bent over a frame with two thin wheels; the feet follow the cranks."""
+    scale = np.array(size_m) / DEFAULT_SIZE_M["cyclist"]
+    tubes = list(_BICYCLE)
     for side in (1.0, -1.0):
-        pedal = (0.02 + 0.17 * np.cos(crank_rad + side * np.pi / 2), side * 0.10, 0.33)
-        pedal = (pedal[0], pedal[1], 0.33 + 0.17 * np.sin(crank_rad + side * np.pi / 2))
-        parts.append(tube(pedal, (-0.18, side * 0.10, 0.92), 0.07, "trousers"))
-        parts.append(tube((0.12, side * 0.19, 1.36), (0.38, side * 0.25, 1.06), 0.045, "cloth"))
-    return join(parts)
+        crank = crank_rad + side * np.pi / 2
+        pedal = (0.02 + 0.17 * np.cos(crank), side * 0.10, 0.33 + 0.17 * np.sin(crank))
+        tubes.append((pedal, (-0.18, side * 0.10, 0.92), 0.07, "trousers"))
+    start, end, radius, parts = zip(*tubes, strict=True)
+    head = solid(SPHERE, (0.24 * scale[0], 0.0, 1.62 * scale[2]), (0.11, 0.09, 0.13), "cyclist", "skin")
+    return join([head, limbs(np.array(start) * scale, np.array(end) * scale, radius, "cyclist", parts)])
 
 
 @lru_cache(maxsize=512)
@@ -123,8 +126,6 @@ def _truck(length: float, width: float, height: float) -> Solids:
 
 
 def _wheels(kind: str, axles_m: tuple[float, float], side_m: float, radius_m: float) -> list[Solids]:
-    return [
-        limb(np.array([x, y - 0.11, radius_m]), np.array([x, y + 0.11, radius_m]), radius_m, kind, "rubber")
-        for x in axles_m
-        for y in (-side_m + 0.12, side_m - 0.12)
-    ]
+    hubs = np.array([[x, y, radius_m] for x in axles_m for y in (-side_m + 0.12, side_m - 0.12)])
+    half_width = np.array([0.0, 0.11, 0.0])
+    return [limbs(hubs - half_width, hubs + half_width, [radius_m] * 4, kind, ["rubber"] * 4)]

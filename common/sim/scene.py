@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.geometry import invert, rotation_between, rotation_rpy, transform
-from common.sim.solids import CYLINDER, FOLIAGE, Solids, box, join, limb, solid
+from common.sim.solids import CYLINDER, FOLIAGE, Solids, box, join, limbs, solid
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def post(x_m: float, y_m: float, z_m: float, height_m: float, radius_m: float = 
 def tree(x_m: float, y_m: float, z_m: float, height_m: float, rng: np.random.Generator) -> Solids:
     """A trunk and four blobs of leaves that let some rays through."""
     crown = 0.28 * height_m
-    trunk = limb(np.array([x_m, y_m, z_m - 0.2]), np.array([x_m, y_m, z_m + 0.6 * height_m]), 0.14, "tree", "wood")
+    trunk = limbs([[x_m, y_m, z_m - 0.2]], [[x_m, y_m, z_m + 0.6 * height_m]], [0.14], "tree", ["wood"])
     blobs = [trunk]
     for _ in range(4):
         dx, dy, dz = rng.uniform(-0.6, 0.6, 3) * crown

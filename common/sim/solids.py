@@ -6,9 +6,11 @@ its scatterers from them, the camera projects them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 SPHERE, CYLINDER, BOX, FOLIAGE = range(4)  # the cylinder stands on z; foliage is a sphere that lets some rays through
 
@@ -97,17 +99,32 @@ def solid(
     )
 
 
-def limb(start_m: np.ndarray, end_m: np.ndarray, radius_m: float, kind: str, part: str) -> Solids:
-    """A straight cylinder from one point to another: a leg, an arm, a tube of a bicycle."""
+def limbs(start_m: ArrayLike, end_m: ArrayLike, radius_m: ArrayLike, kind: str, parts: Sequence[str]) -> Solids:
+    """P straight cylinders from one point to another: legs, arms, the tubes of a bicycle, wheels.
+
+    Args:
+        start_m: (P, 3) and end_m: (P, 3), the middles of the two ends.
+        radius_m: (P,)
+        parts: P names of PARTS.
+    """
     start, end = np.asarray(start_m, float), np.asarray(end_m, float)
     along = end - start
-    length = float(np.linalg.norm(along))
-    w = along / length
-    u = np.cross([0.0, 1.0, 0.0] if abs(w[1]) < 0.9 else [1.0, 0.0, 0.0], w)
-    u /= np.linalg.norm(u)
-    rotation = np.column_stack([u, np.cross(w, u), w])
-    centre = 0.5 * (start + end)
-    return solid(CYLINDER, (centre[0], centre[1], centre[2]), (radius_m, radius_m, 0.5 * length), kind, part, rotation)
+    length = np.sqrt(np.sum(along * along, axis=1))
+    x, y, z = w = (along / length[:, None]).T
+    level, zero = np.abs(y) < 0.9, np.zeros_like(x)
+    u = np.where(level, [z, zero, -x], [zero, -z, y])  # w crossed with y, or with x where w is nearly y
+    u /= np.sqrt(np.sum(u * u, axis=0))
+    v = np.array([y * u[2] - z * u[1], z * u[0] - x * u[2], x * u[1] - y * u[0]])
+    radius, count = np.asarray(radius_m, float), len(start)
+    return Solids(
+        np.full(count, CYLINDER, np.uint8),
+        0.5 * (start + end),
+        np.stack([u * radius, v * radius, w * (0.5 * length)]).transpose(2, 1, 0),
+        np.full(count, KINDS.index(kind), np.uint8),
+        np.array([PARTS.index(part) for part in parts], np.uint8),
+        np.full(count, SCENE_ID, np.int32),
+        np.zeros((count, 3)),
+    )
 
 
 def box(x_m: tuple[float, float], y_m: tuple[float, float], z_m: tuple[float, float], kind: str, part: str) -> Solids:
