@@ -1,0 +1,144 @@
+"""A random forest as plain arrays: stored in one ``.npz``, run by one compiled kernel, no training library needed.
+
+The two children of a node lie side by side, so a step down is ``child + (x > threshold)``. A leaf is its own child with
+an infinite threshold: rows that arrive early wait there, and 16 rows walk down a tree in lock step without branches.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+_LANES = 16
+_ARRAYS = ("feature", "threshold", "child", "leaf", "value", "root", "depth", "calibration_x", "calibration_y")
+_jit = njit(nogil=True, cache=True, error_model="numpy")
+
+
+class ModelError(ValueError):
+    """The model file is not what it says it is; the text says why."""
+
+
+@dataclass(frozen=True)
+class Forest:
+    """N nodes of T trees over F features, L leaves with C class shares each, B points of calibration per class."""
+
+    feature: np.ndarray  # (N,) int32 column of x
+    threshold: np.ndarray  # (N,) float32; goes right if x > threshold
+    child: np.ndarray  # (N,) int32 left child, the right one follows; a leaf names itself
+    leaf: np.ndarray  # (N,) int32 row of `value`, 0 for inner nodes
+    value: np.ndarray  # (L, C) float32 class shares
+    root: np.ndarray  # (T,) int32
+    depth: np.ndarray  # (T,) int32
+    calibration_x: np.ndarray  # (C, B) float32 forest share, rising
+    calibration_y: np.ndarray  # (C, B) float32 measured frequency
+    classes: tuple[str, ...]
+    features: tuple[str, ...]
+    provenance: dict[str, Any]  # what it was trained on, how, and how well it did
+
+    def shares(self, x: np.ndarray) -> np.ndarray:
+        """(K, F) float32 features to (K, C) float32 mean class shares of the trees (uncalibrated)."""
+        if x.ndim != 2 or x.shape[1] != len(self.features):
+            raise ValueError(f"features: expected shape (K, {len(self.features)}), got {x.shape}")
+        rows = np.ascontiguousarray(np.nan_to_num(x), np.float32)
+        out = np.zeros((len(rows), self.value.shape[1]), np.float32)
+        _walk(rows, self.feature, self.threshold, self.child, self.leaf, self.value, self.root, self.depth, out)
+        return out
+
+    def probabilities(self, x: np.ndarray) -> np.ndarray:
+        """(K, C) float32 calibrated probabilities, each row sums to 1."""
+        shares = self.shares(x)
+        columns = [
+            np.interp(shares[:, c], self.calibration_x[c], self.calibration_y[c]) for c in range(len(self.classes))
+        ]
+        raw = np.column_stack(columns) + 1e-6
+        return np.asarray(raw / raw.sum(axis=1, keepdims=True), np.float32)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over every array, class and feature name."""
+        total = hashlib.sha256(json.dumps([self.classes, self.features]).encode())
+        for name in _ARRAYS:
+            array = getattr(self, name)
+            total.update(f"{name} {array.dtype.str} {array.shape}".encode() + array.tobytes())
+        return total.hexdigest()
+
+    def save(self, path: Path) -> None:
+        header = {
+            "classes": self.classes,
+            "features": self.features,
+            "provenance": self.provenance,
+            "sha256": self.digest,
+        }
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        np.savez_compressed(path, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **arrays)
+
+
+def load_forest(path: Path) -> Forest:
+    """Read and check a model.
+
+    Raises:
+        ModelError: not a model, damaged, or its arrays point outside of themselves.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            header = json.loads(file["header"].tobytes())
+            arrays = {name: file[name] for name in _ARRAYS}
+        forest = Forest(
+            **arrays,
+            classes=tuple(header["classes"]),
+            features=tuple(header["features"]),
+            provenance=header["provenance"],
+        )
+    except FileNotFoundError:
+        raise ModelError(f"{path}: no such model file") from None
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise ModelError(f"{path}: not a forest written by `spotter-infra-lidar train`: {error}") from None
+    if forest.digest != header["sha256"]:
+        raise ModelError(f"{path}: damaged, its contents do not match their SHA-256")
+    _check(forest, path)
+    return forest
+
+
+def _check(forest: Forest, path: Path) -> None:
+    nodes, leaves = len(forest.feature), len(forest.value)
+    inner = forest.child != np.arange(nodes)
+    sound = (
+        forest.child.min(initial=0) >= 0
+        and np.all(forest.child[inner] < nodes - 1)
+        and np.all((forest.feature >= 0) & (forest.feature < len(forest.features)))
+        and np.all((forest.leaf >= 0) & (forest.leaf < leaves))
+        and np.all((forest.root >= 0) & (forest.root < nodes))
+        and forest.value.shape[1] == len(forest.classes) == len(forest.calibration_x) == len(forest.calibration_y)
+    )
+    if not sound:
+        raise ModelError(f"{path}: damaged, nodes point outside of the forest")
+
+
+@_jit
+def _walk(
+    x: np.ndarray, feature: np.ndarray, threshold: np.ndarray, child: np.ndarray, leaf: np.ndarray,
+    value: np.ndarray, root: np.ndarray, depth: np.ndarray, out: np.ndarray,
+) -> None:  # fmt: skip
+    trees, rows, classes = len(root), len(x), value.shape[1]
+    node = np.empty(_LANES, np.int32)
+    for start in range(0, rows, _LANES):
+        lanes = min(_LANES, rows - start)
+        for t in range(trees):
+            node[:] = root[t]
+            for _ in range(depth[t]):
+                for lane in range(lanes):
+                    at = node[lane]
+                    node[lane] = child[at] + (x[start + lane, feature[at]] > threshold[at])
+            for lane in range(lanes):
+                shares = value[leaf[node[lane]]]
+                for c in range(classes):
+                    out[start + lane, c] += shares[c]
+        for lane in range(lanes):
+            for c in range(classes):
+                out[start + lane, c] /= trees
