@@ -1,0 +1,68 @@
+"""Bytes with the time of their arrival -> scans; what was rejected on the way goes into the service's report."""
+
+from __future__ import annotations
+
+from common.messages import LaserScan
+from common.status import Report
+from services.jetson.lidar.assembly import ScanAssembler
+from services.jetson.lidar.config import LidarConfig
+from services.jetson.lidar.parser import PACKET_BYTES, Ld06Parser
+from services.jetson.lidar.timing import MAX_DRIFT
+
+# Worth knowing, but nothing was wrong with a packet: the rest of the counters is bad input.
+NO_FAULT = ("packets", "skipped_bytes", "partial_scans", "clock_restarts")
+
+
+class ScanDecoder:
+    """Bytes with arrival times -> scans, and the counts of what was rejected on the way into the report."""
+
+    def __init__(self, config: LidarConfig, report: Report, max_drift: float = MAX_DRIFT) -> None:
+        self._config, self._report, self._max_drift = config, report, max_drift
+        self._told: dict[str, int] = {}
+        self._silent_since_s: float | None = None
+        self._bytes = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the stream so far: the device is a new one."""
+        self.parser = Ld06Parser(self._config.scan.sample_rate_hz, self._config.mounting.clockwise)
+        self.assembler = ScanAssembler(self._config, self._max_drift)
+        self._told = {}
+
+    def feed(self, arrival_ns: int, now_s: float, data: bytes) -> list[LaserScan]:
+        """The scans that these bytes complete."""
+        packets = self.parser.feed(data)
+        scans = self.assembler.add(packets, arrival_ns)
+        for scan in scans:
+            scan.received_ns = arrival_ns
+        if scans:
+            self._tell_counts()
+        self._watch(now_s, bool(packets), len(data))
+        return scans
+
+    def wanted_bytes(self) -> int:
+        """How many bytes will close the revolution: what a reader may wait for at once."""
+        return PACKET_BYTES * self.assembler.packets_to_index() - self.parser.pending
+
+    def _tell_counts(self) -> None:
+        counts = {**self.parser.counters, **self.assembler.counters}
+        for name, count in counts.items():
+            new = count - self._told.get(name, 0)
+            (self._report.count if name in NO_FAULT else self._report.bad_input)(name, new)
+        self._told = counts
+
+    def _watch(self, now_s: float, alive: bool, received: int) -> None:
+        """Call the device lost when no believable packet has come for a while."""
+        if alive or self._silent_since_s is None:
+            self._silent_since_s, self._bytes = now_s, 0
+            return
+        self._bytes += received
+        silent_s = now_s - self._silent_since_s
+        if silent_s < self._config.serial.silence_s:
+            return
+        if self._bytes:
+            self._tell_counts()
+            why = "bytes arrive but no LD06 packet is among them: wrong device, baud rate or a bad line"
+        else:
+            why = "connected but silent: is the motor turning, and are 5 V and the data line connected?"
+        self._report.state("disconnected", why)

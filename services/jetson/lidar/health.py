@@ -1,0 +1,167 @@
+"""Can the sensor see? Judged over many scans, by what became of the beams in the forward cone.
+
+An empty road and a blocked lens both show nothing in the lanes. What tells them apart is how the beams end: a return
+at any range up to 12 m means that the sensor can see; beams that end at the lens, come back without a distance or
+hardly come back at all are evidence of the opposite, and go into the reason.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.jetson.lidar.config import FilterSection, HealthSection
+from services.jetson.lidar.filters import Fate, Returns
+
+FATES = len(Fate)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """How the beams of one or more scans ended."""
+
+    cone: np.ndarray  # (sectors, FATES) int counts, sectors from right to left
+    ring: np.ndarray  # (FATES,) int counts outside the cone
+    motor: str  # what the assembler says about the motor; "" = turns
+
+    def __add__(self, other: Evidence) -> Evidence:
+        return Evidence(self.cone + other.cone, self.ring + other.ring, self.motor and other.motor)
+
+
+def evidence(returns: Returns, fate: np.ndarray, fov_deg: float, sectors: int, motor: str = "") -> Evidence:
+    """Count the beams of one scan by sector of the cone and by fate."""
+    half_rad = np.radians(fov_deg / 2) + 1e-6
+    inside = np.abs(returns.angle_rad) <= half_rad
+    sector = ((returns.angle_rad[inside] + half_rad) / (2 * half_rad) * sectors).astype(np.int64)
+    counts = np.bincount(np.minimum(sector, sectors - 1) * FATES + fate[inside], minlength=sectors * FATES)
+    return Evidence(counts.reshape(sectors, FATES), np.bincount(fate[~inside], minlength=FATES), motor)
+
+
+def could_see(seen: Evidence, returns: Returns, fov_deg: float, config: HealthSection) -> bool:
+    """Would this scan have shown an obstacle? Only then may it count towards lowering an alarm."""
+    counts = seen.cone.sum(axis=0)
+    measured = int(counts.sum())
+    expected = np.radians(fov_deg) / returns.step_rad
+    obstructed = counts[[Fate.NEAR, Fate.ECHO_ONLY, Fate.WEAK]].sum()
+    return measured >= config.observed_share * expected and obstructed <= config.observed_share * measured
+
+
+class HealthMonitor:
+    """Degraded after 15 bad scans (or 1.5 s of them), well again after 3 good ones.
+
+    Bad and good are judged on the summed evidence of those scans, so that rain, which hits other beams each turn, is
+    seen as well as tape, which always covers the same.
+    """
+
+    def __init__(self, config: HealthSection, filters: FilterSection, fov_deg: float) -> None:
+        self._config, self._filters, self._fov_deg = config, filters, fov_deg
+        self._history: deque[tuple[int, Evidence]] = deque(maxlen=config.scans)
+        self.reason = ""
+
+    def update(self, stamp_ns: int, seen: Evidence) -> str:
+        """Why the sensor cannot see, "" when it can."""
+        self._history.append((stamp_ns, seen))
+        if self.reason and len(self._history) >= self._config.good_scans:
+            recent = list(self._history)[-self._config.good_scans :]
+            if not self._diagnose([one for _, one in recent]):
+                self.reason = ""
+                self._history.clear()
+                return ""
+        if self._long_enough(stamp_ns):
+            self.reason = self._diagnose([one for _, one in self._history]) or self.reason
+        return self.reason
+
+    def _long_enough(self, stamp_ns: int) -> bool:
+        full = len(self._history) == self._config.scans
+        began_ns = self._history[0][0]
+        return full or (len(self._history) >= 3 and stamp_ns - began_ns >= self._config.seconds * 1e9)
+
+    def _diagnose(self, scans: list[Evidence]) -> str:
+        total = scans[0]
+        for one in scans[1:]:
+            total += one
+        return total.motor or diagnose(total, len(scans), self._config, self._filters, self._fov_deg)
+
+
+def diagnose(total: Evidence, scans: int, config: HealthSection, filters: FilterSection, fov_deg: float) -> str:
+    """The most serious thing wrong with the summed evidence of some scans, as a sentence; "" = nothing."""
+    cone = total.cone.sum(axis=0)
+    measured = int(cone.sum())
+    if measured == 0:
+        return f"no measurement in the forward cone for {scans} scans: packets are lost"
+    # A lone return now and then is a ghost; one in every fifth scan is a thin pole that the sensor does see.
+    if cone[Fate.USED] == 0 and cone[Fate.ISOLATED] < max(1.0, 0.2 * scans):
+        return _blind(cone, total.ring, scans, config, filters)
+    return _sectors(total, scans, config, fov_deg) or _dirty(cone, measured, scans, config, filters)
+
+
+def _blind(cone: np.ndarray, ring: np.ndarray, scans: int, config: HealthSection, filters: FilterSection) -> str:
+    """No return at any range: say what the beams did instead."""
+    measured = int(cone.sum())
+    enough = config.blind_share * measured
+    if cone[Fate.NEAR] >= enough:
+        return (
+            f"lens blocked: {_share(cone[Fate.NEAR], measured)} of the forward beams end nearer than "
+            f"{filters.min_range_m:.2f} m, none farther ({scans} scans)"
+        )
+    if cone[Fate.ECHO_ONLY] >= enough:
+        return (
+            f"lens covered: {_share(cone[Fate.ECHO_ONLY], measured)} of the forward beams come back bright but without "
+            f"a distance ({scans} scans)"
+        )
+    if cone[Fate.WEAK] >= enough:
+        return (
+            f"low confidence: {_share(cone[Fate.WEAK], measured)} of the forward beams come back weaker than "
+            f"{filters.min_confidence} ({scans} scans); clean the lens"
+        )
+    around = f"; of the other beams {_share(_returned(ring), ring.sum())} return" if ring.sum() else ""
+    return (
+        f"open or covered: no return up to {filters.max_range_m:.0f} m in the forward cone for {scans} scans, "
+        f"and no light near the lens{around}"
+    )
+
+
+def _sectors(total: Evidence, scans: int, config: HealthSection, fov_deg: float) -> str:
+    """Parts of the cone that see nothing while others do."""
+    width_deg = fov_deg / config.sectors
+    closed = _returned(total.ring) >= config.closed_ring_share * max(int(total.ring.sum()), 1)
+    for number, counts in enumerate(total.cone):
+        measured = int(counts.sum())
+        if measured == 0 or _returned(counts):
+            continue
+        lit = int(counts[[Fate.NEAR, Fate.ECHO_ONLY, Fate.WEAK]].sum())
+        right_deg = number * width_deg - fov_deg / 2
+        where = f"from {right_deg:+.0f} to {right_deg + width_deg:+.0f} deg"
+        if lit >= config.sector_share * measured:
+            return f"partly blocked {where}: {_share(lit, measured)} of its beams end at the lens ({scans} scans)"
+        if closed:
+            return (
+                f"partly open or covered {where}: no return in {scans} scans although "
+                f"{_share(_returned(total.ring), total.ring.sum())} of the beams around return"
+            )
+    return ""
+
+
+def _dirty(cone: np.ndarray, measured: int, scans: int, config: HealthSection, filters: FilterSection) -> str:
+    """The sensor sees, but through something."""
+    near, scattered, weak = int(cone[Fate.NEAR]), int(cone[Fate.ISOLATED]), int(cone[Fate.WEAK])
+    if near >= config.dirt_share * measured:
+        return (
+            f"rain or dirt near the lens: {_share(near, measured)} of the forward beams end nearer than "
+            f"{filters.min_range_m:.2f} m ({scans} scans)"
+        )
+    if scattered >= config.dirt_share * measured and scattered >= cone[Fate.USED]:
+        return f"rain or dust: {_share(scattered, measured)} of the forward returns stand alone ({scans} scans)"
+    if weak >= config.weak_share * measured:
+        return f"low confidence: {_share(weak, measured)} of the forward returns are weak ({scans} scans)"
+    return ""
+
+
+def _returned(counts: np.ndarray) -> int:
+    return int(counts[Fate.USED] + counts[Fate.ISOLATED])
+
+
+def _share(part: float, whole: float) -> str:
+    return f"{100 * part / max(whole, 1):.0f} %"

@@ -1,0 +1,100 @@
+"""One revolution -> what stands in the three lanes ahead, and whether the sensor can see.
+
+No Zenoh, no clock, no file: time is the scan's stamp.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from common.messages import LaserScan, LidarZone, LidarZones, worst
+from services.jetson.lidar.config import LidarConfig
+from services.jetson.lidar.filters import Fate, judge, returns_of
+from services.jetson.lidar.health import HealthMonitor, could_see, evidence
+from services.jetson.lidar.persistence import LanePersistence
+from services.jetson.lidar.zones import LANES, Measured, level_of, measure
+
+RATE_SMOOTHING = 0.2  # share of the newest scan in the published rate
+
+
+class LidarPipeline:
+    """Keeps what persistence and health need from earlier scans.
+
+    After ``process``, ``fate`` holds the ``Fate`` of each beam in the scan's own order.
+    """
+
+    def __init__(self, config: LidarConfig) -> None:
+        self._config = config
+        self._lanes = [LanePersistence(config.persistence) for _ in LANES]
+        self._health = HealthMonitor(config.health, config.filter, config.zones.fov_deg)
+        self._last_ns: int | None = None
+        self._period_s = 0.0
+        self.fate = np.empty(0, np.int64)
+
+    def process(self, stamp_ns: int, scan: LaserScan) -> LidarZones:
+        """Zones after the revolution that ended at ``stamp_ns``; stamps must rise."""
+        config = self._config
+        # Order the beams and place their returns in the vehicle's frame
+        returns = returns_of(scan, config.mounting)
+
+        # Decide which returns are believed: range, vehicle's own body, confidence, neighbours
+        fate = judge(returns, config.filter, config.mounting)
+
+        # The nearest thing in each lane that enough returns vouch for
+        measured = measure(returns, fate == Fate.USED, config.zones)
+
+        # Could this scan see at all, and could the last fifteen?
+        seen = evidence(returns, fate, config.zones.fov_deg, config.health.sectors, _motor(scan))
+        sees = could_see(seen, returns, config.zones.fov_deg, config.health)
+        reason = self._health.update(stamp_ns, seen)
+
+        # Agree over several scans, in each lane and for each band
+        zones = [self._agree(lane, stamp_ns, one, sees) for lane, one in zip(self._lanes, measured, strict=True)]
+
+        self.fate = np.empty_like(fate)
+        self.fate[returns.order] = fate
+        return self._message(stamp_ns, scan, zones, measured, reason)
+
+    def _agree(self, lane: LanePersistence, stamp_ns: int, measured: Measured, sees: bool) -> LidarZone:
+        """The lane after persistence. A scan that could not have seen an obstacle says nothing about its absence."""
+        raw_m = math.inf if measured.nearest_m is None else measured.nearest_m
+        if measured.nearest_m is not None or sees:
+            lane.update(stamp_ns, raw_m)
+        level = level_of(lane.agreed_m, self._config.zones)
+        if math.isinf(lane.agreed_m):
+            return LidarZone(nearest_m=None, points=0, level=level)
+        # The freshest distance that does not contradict the level
+        fresh = raw_m <= self._config.zones.look_ahead_m and level_of(raw_m, self._config.zones) == level
+        return LidarZone(nearest_m=raw_m if fresh else lane.agreed_m, points=measured.points, level=level)
+
+    def _message(
+        self, stamp_ns: int, scan: LaserScan, zones: list[LidarZone], measured: list[Measured], reason: str
+    ) -> LidarZones:
+        raw = [math.inf if one.nearest_m is None else one.nearest_m for one in measured]
+        return LidarZones(
+            stamp_ns=stamp_ns,
+            frame_id=scan.frame_id or "lidar",
+            received_ns=scan.received_ns,
+            state="degraded" if reason else "online",
+            reason=reason,
+            left=zones[0],
+            centre=zones[1],
+            right=zones[2],
+            level=worst(*(zone.level for zone in zones)),
+            raw_level=level_of(min(raw), self._config.zones),
+            scan_hz=self._scan_hz(stamp_ns),
+        )
+
+    def _scan_hz(self, stamp_ns: int) -> float:
+        last_ns, self._last_ns = self._last_ns, stamp_ns
+        if last_ns is None or stamp_ns <= last_ns:
+            return 1.0 / self._period_s if self._period_s else 0.0
+        period_s = (stamp_ns - last_ns) * 1e-9
+        self._period_s += (period_s - self._period_s) * (RATE_SMOOTHING if self._period_s else 1.0)
+        return 1.0 / self._period_s
+
+
+def _motor(scan: LaserScan) -> str:
+    return scan.reason if scan.state == "degraded" else ""

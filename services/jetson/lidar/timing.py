@@ -1,0 +1,48 @@
+"""The sensor's millisecond clock, which starts again at 30000, laid along the host's clock."""
+
+from __future__ import annotations
+
+MODULUS_MS = 30_000
+MAX_DRIFT = 100e-6  # two crystals: how fast the offset may creep
+RESTART_S = 1.0  # a jump beyond this against the host's clock is a restarted sensor, not lost packets
+
+
+class DeviceClock:
+    """Unwraps packet timestamps and finds the offset to UTC that transport delay does not blur.
+
+    A packet can only arrive late, never early. So the smallest difference between arrival and sensor time is the best
+    one; it is allowed to creep upwards with the drift of two crystals (Cristian 1989, one-way minimum filter).
+
+    Args:
+        max_drift: the creep allowed, as a share; a replay that is slower than life needs 1 or more.
+    """
+
+    def __init__(self, max_drift: float = MAX_DRIFT) -> None:
+        self.restarts = 0
+        self._max_drift = max_drift
+        self._last_ms: int | None = None
+        self._device_ms = 0
+        self._last_arrival_ns = 0
+        self._offset_ns = 0.0
+
+    def advance(self, timestamp_ms: int, arrival_ns: int) -> tuple[int, int]:
+        """(sensor time in ms, continuous; the same instant as UTC ns) of a packet that arrived at ``arrival_ns``."""
+        if self._last_ms is None:
+            self._start(timestamp_ms, arrival_ns)
+            return self._device_ms, arrival_ns
+        elapsed_s = (arrival_ns - self._last_arrival_ns) * 1e-9
+        step_ms = (timestamp_ms - self._last_ms) % MODULUS_MS
+        step_ms += MODULUS_MS * max(0, round((elapsed_s * 1e3 - step_ms) / MODULUS_MS))
+        if abs(step_ms * 1e-3 - elapsed_s) > RESTART_S:
+            self.restarts += 1
+            self._start(timestamp_ms, arrival_ns)
+            return self._device_ms, arrival_ns
+        self._last_ms, self._last_arrival_ns = timestamp_ms, arrival_ns
+        self._device_ms += step_ms
+        candidate_ns = arrival_ns - self._device_ms * 1e6
+        self._offset_ns = min(self._offset_ns + step_ms * 1e6 * self._max_drift, candidate_ns)
+        return self._device_ms, int(self._offset_ns + self._device_ms * 1e6)
+
+    def _start(self, timestamp_ms: int, arrival_ns: int) -> None:
+        self._last_ms, self._last_arrival_ns = timestamp_ms, arrival_ns
+        self._offset_ns = arrival_ns - self._device_ms * 1e6
