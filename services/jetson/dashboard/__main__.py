@@ -1,0 +1,64 @@
+"""Dashboard service: the newest of every topic -> one web page."""
+
+from __future__ import annotations
+
+import logging
+
+import uvicorn
+
+from common.config import ConfigError
+from common.launch import service_app
+from common.runtime import Service
+from services.jetson.dashboard.board import Board
+from services.jetson.dashboard.config import DashboardConfig
+from services.jetson.dashboard.server import DashboardServer
+from services.jetson.dashboard.source import BoardSource
+
+log = logging.getLogger("dashboard")
+
+
+class Server(uvicorn.Server):
+    """uvicorn that says on the bus when it really listens."""
+
+    def __init__(self, config: uvicorn.Config, service: Service) -> None:
+        super().__init__(config)
+        self._service = service
+
+    async def startup(self, sockets: list | None = None) -> None:
+        try:
+            await super().startup(sockets)
+        except SystemExit:
+            where = f"{self.config.host}:{self.config.port}"
+            raise ConfigError(f"[server] port = {self.config.port}: cannot listen on {where}; is it taken?") from None
+        if self.started:
+            self._service.report.state("online")
+            log.info("http://%s:%d", self.config.host, self.config.port)
+
+
+def run(config: DashboardConfig) -> bool:
+    board = Board()
+    with Service("dashboard", config) as service, BoardSource(service, board) as source:
+        app = DashboardServer(config, board, source).app()
+        settings = uvicorn.Config(
+            app,
+            host=config.server.address,
+            port=config.server.port,
+            log_level="warning",
+            lifespan="off",
+            ws="websockets-sansio",
+            ws_max_size=65536,
+            timeout_graceful_shutdown=1,
+        )
+        Server(settings, service).run()
+    return service.closed_cleanly
+
+
+app = service_app("dashboard", DashboardConfig, run, __doc__)
+
+
+def main() -> None:
+    app()
+
+
+if __name__ == "__main__":
+    main()

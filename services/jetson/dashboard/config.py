@@ -1,0 +1,35 @@
+"""Configuration of the dashboard."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+from common.config import Section, ServiceConfig
+
+
+class ServerConfig(Section, frozen=True, kw_only=True):
+    """Where the page is served. On any other address than loopback a token is required."""
+
+    address: str = "127.0.0.1"
+    port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 8080
+    token: str = ""  # asked for as ?token=...; without one only loopback is allowed
+    max_clients: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 50
+    max_rate_hz: Annotated[float, msgspec.Meta(gt=0, le=60)] = 20.0
+
+
+class DashboardConfig(ServiceConfig, frozen=True, kw_only=True):
+    """``fusion_host`` says whose verdict the page shows."""
+
+    host: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9_]+$")] = "jetson0"
+    fusion_host: str = "jetson0"
+    server: ServerConfig = ServerConfig()
+
+    def __post_init__(self) -> None:
+        loopback = self.server.address in ("127.0.0.1", "::1", "localhost")
+        if not loopback and not self.server.token:
+            raise ValueError(
+                f"[server] address = {self.server.address!r}: anybody on the network could look; "
+                "set [server] token, or serve on 127.0.0.1"
+            )

@@ -1,0 +1,67 @@
+"""What the page shows, from the bus: the newest value of every topic; the large ones only while somebody looks."""
+
+from __future__ import annotations
+
+import threading
+from types import TracebackType
+
+from common.messages import Message
+from common.pubsub import Latest
+from common.runtime import Service
+from common.topics import DATA_TOPICS, SERVICES, Topic, status_topic
+from services.jetson.dashboard.board import Board
+
+WAIT_S = 0.5
+
+
+class BoardSource:
+    """Feeds a board from Zenoh in a thread of its own. Use it in a ``with`` statement."""
+
+    def __init__(self, service: Service, board: Board) -> None:
+        self._service = service
+        self._board = board
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._viewers: dict[str, int] = {}
+        self._inboxes: dict[str, Latest[Message]] = {}
+        for topic in (*DATA_TOPICS, *(status_topic(row.name) for row in SERVICES)):
+            if not topic.on_demand:
+                self._inboxes[topic.name] = self._subscribe(topic)
+        self._thread = threading.Thread(target=self._feed, name="board", daemon=True)
+
+    def __enter__(self) -> BoardSource:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._service.wake.set()
+        self._thread.join(1.0)
+
+    def view(self, product: str, viewers: int) -> None:
+        """Count clients that look at an on-demand topic; the first subscribes, the last unsubscribes."""
+        topic = next((t for t in DATA_TOPICS if t.on_demand and t.name == product), None)
+        if topic is None:
+            return
+        with self._lock:
+            count = self._viewers.get(product, 0) + viewers
+            self._viewers[product] = count
+            if count > 0 and product not in self._inboxes:
+                self._inboxes[product] = self._subscribe(topic)
+            elif count <= 0 and product in self._inboxes:
+                self._inboxes.pop(product).close()
+
+    def _subscribe(self, topic: Topic) -> Latest[Message]:
+        return self._service.latest(topic, topic.message, "*")
+
+    def _feed(self) -> None:
+        while not self._stop.is_set():
+            self._service.wake.wait(WAIT_S)
+            self._service.wake.clear()
+            with self._lock:
+                inboxes = list(self._inboxes.values())
+            for inbox in inboxes:
+                for received in inbox.take():
+                    self._board.put(received.key, received.message, received.arrived_s)
