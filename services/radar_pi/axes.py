@@ -25,12 +25,19 @@ class Axes:
     range_bin_m: float
     velocity_bin_mps: float
     v_max_mps: float  # unambiguous: +- this
+    range_offset_m: float
+    range_lead_s: float  # range-Doppler coupling: a bin shows the range that the target has so much later
+    first_sample_hz: float  # frequency at the first sample
     range_m: np.ndarray  # (samples / 2,) float64, bins from 0
     velocity_mps: np.ndarray  # (chirps,) float64, rising from -v_max
     near_bin: int  # first and one past the last bin that is looked at
     far_bin: int
     if_corner_m: float  # range at the anti-alias corner: farther is attenuated
     fold_m: float  # range at half the sampling rate: farther folds back, with its velocity mirrored
+
+    def to_range_m(self, range_bin: np.ndarray, velocity_mps: np.ndarray) -> np.ndarray:
+        """Range from the (fractional) bin: a moving target's beat frequency also holds its Doppler frequency."""
+        return np.asarray(range_bin * self.range_bin_m - self.range_offset_m - velocity_mps * self.range_lead_s)
 
     @property
     def range_min_m(self) -> float:
@@ -41,12 +48,13 @@ class Axes:
         return float(self.range_m[self.far_bin - 1])
 
 
-def derive_axes(waveform: WaveformConfig, processing: ProcessingConfig) -> Axes:
+def derive_axes(waveform: WaveformConfig, processing: ProcessingConfig | None = None) -> Axes:
     """All axes of a configuration.
 
     Raises:
         ValueError: the range limits leave fewer than four bins.
     """
+    processing = processing or ProcessingConfig()
     sampling_s = waveform.samples / waveform.sample_rate_hz
     slope = (waveform.end_frequency_hz - waveform.start_frequency_hz) / (sampling_s + waveform.sample_delay_s)
     bandwidth_hz = slope * sampling_s
@@ -66,6 +74,9 @@ def derive_axes(waveform: WaveformConfig, processing: ProcessingConfig) -> Axes:
         range_bin_m=range_bin_m,
         velocity_bin_mps=velocity_bin_mps,
         v_max_mps=v_max_mps,
+        range_offset_m=processing.range_offset_m,
+        range_lead_s=C_MPS / wavelength_m / slope,
+        first_sample_hz=waveform.end_frequency_hz - bandwidth_hz,
         range_m=range_m,
         velocity_mps=(np.arange(waveform.chirps) - waveform.chirps // 2) * velocity_bin_mps,
         near_bin=near,

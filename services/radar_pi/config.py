@@ -33,7 +33,7 @@ class WaveformConfig(Section, frozen=True, kw_only=True):
     rx_mask: Annotated[int, Meta(ge=1, le=7)] = 7  # bit 0 = RX1, bit 1 = RX2, bit 2 = RX3
     tx_power_level: Annotated[int, Meta(ge=0, le=31)] = 31
     if_gain_db: Annotated[int, Meta(ge=18, le=60)] = 33
-    hp_cutoff_hz: Literal[20_000, 45_000, 70_000, 80_000] = 20_000
+    hp_cutoff_hz: Annotated[int, Meta(ge=20_000, le=80_000)] = 20_000  # 20, 45, 70 or 80 kHz
     lp_cutoff_hz: Annotated[int, Meta(ge=100_000, le=1_000_000)] = 500_000
     sample_delay_s: NotNegative = 3.1125e-6  # T_SSTART: transmitter on to first sample, not part of the sampled sweep
     register_file: str = ""  # Infineon register export ("NAME 0xADDR 0xVALUE"); replaces the computed list
@@ -68,8 +68,8 @@ class ProcessingConfig(Section, frozen=True, kw_only=True):
     """Windows and the clutter background."""
 
     window: Literal["hann", "hamming", "rectangular"] = "hann"  # both transforms
-    mti: Literal["background", "frame_difference", "off"] = "background"
-    mti_memory: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.92  # background <- memory * background + (1 - memory) * new
+    mti: bool = True  # subtract the static background
+    mti_memory: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.92  # weight of the old background; 0 = frame difference
     settling_frames: Annotated[int, Meta(ge=0, le=1000)] = 15
     range_offset_m: float = 0.0  # electrical zero of the range axis, subtracted
     range_min_m: NotNegative = 0.2  # nearer is transmitter leakage
@@ -81,6 +81,7 @@ class CfarConfig(Section, frozen=True, kw_only=True):
 
     kind: Literal["ca", "os"] = "ca"
     threshold_db: Annotated[float, Meta(ge=0.0, le=60.0)] = 16.0  # over the mean noise power of one cell
+    p_fa: Annotated[float, Meta(ge=0.0, le=0.1)] = 0.0  # false alarm probability per cell; 0 = threshold_db counts
     guard_range: Annotated[int, Meta(ge=0, le=16)] = 2  # cells on each side
     guard_doppler: Annotated[int, Meta(ge=0, le=16)] = 3
     train_range: Annotated[int, Meta(ge=1, le=32)] = 6
@@ -94,14 +95,15 @@ class DetectionConfig(Section, frozen=True, kw_only=True):
     body_range_m: Positive = 0.45  # a body spreads this far around its strongest cell
     body_velocity_mps: Positive = 2.2  # limbs swing this much faster or slower than the trunk
     body_azimuth_rad: Positive = 0.5
+    sidelobe_db: Positive = 40.0  # weaker by this in the row or column of a stronger cell: its sidelobe
     max_detections: Annotated[int, Meta(ge=1, le=500)] = 32  # the strongest are kept
 
 
 class AzimuthConfig(Section, frozen=True, kw_only=True):
     """Angle from the phase difference of the horizontal receiver pair."""
 
-    left_rx: Annotated[int, Meta(ge=1, le=3)] = 3  # phase(left) - phase(right) rises with azimuth to the left
-    right_rx: Annotated[int, Meta(ge=1, le=3)] = 1
+    left_rx: Annotated[int, Meta(ge=1, le=3)] = 1  # as seen from the radar; swap them for a unit mounted upside down
+    right_rx: Annotated[int, Meta(ge=1, le=3)] = 3
     spacing_m: Positive = 2.5e-3
     phase_offset_rad: float = 0.0  # measured on a boresight target, subtracted
     field_of_view_rad: Annotated[float, Meta(gt=0.0, le=1.58)] = 0.96  # farther off boresight is dropped
@@ -137,8 +139,10 @@ class HealthConfig(Section, frozen=True, kw_only=True):
 
     learn_frames: Annotated[int, Meta(ge=2, le=10_000)] = 50  # after settling: noise floor and clutter are learned
     hold_frames: Annotated[int, Meta(ge=1, le=1000)] = 10  # a deviation has to last this long
-    noise_db: Positive = 6.0  # noise floor off its learned value
-    clutter_db: Positive = 8.0  # static clutter off its learned value
+    noise_db: Positive = 6.0  # limit: noise floor off its learned value
+    clutter_db: Positive = 8.0  # limit: static clutter at the antenna off its learned value
+    noise_floor_db: float | None = None  # a known noise floor, instead of learning it after every start
+    leakage_db: float | None = None  # a known clutter at the antenna
     saturated_fraction: Probability = 0.01  # samples at the ADC's limits in one frame
 
 

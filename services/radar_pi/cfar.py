@@ -1,0 +1,137 @@
+"""Constant false alarm rate detection on the range-Doppler power map: cell averaging and ordered statistic.
+
+Noise is estimated in *linear* power from training cells around a guard zone. Range has ends: cells beyond them do not
+exist and are left out of the mean. Doppler is cyclic: the training zone continues on the other side.
+Methods: Finn and Johnson 1968 (cell averaging), Rohling 1983 (ordered statistic).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.ndimage
+
+from services.radar_pi.cfar_design import ca_scale, os_mean_ratio, os_scale
+from services.radar_pi.config import CfarConfig
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Cells over threshold: three arrays of equal length."""
+
+    row: np.ndarray  # range
+    column: np.ndarray  # Doppler
+    noise: np.ndarray  # estimated mean noise power of the cell
+
+
+class Zone:
+    """Guard and training cells of a map; the Doppler extent is cut where it would meet itself."""
+
+    def __init__(self, config: CfarConfig, rows: int, columns: int) -> None:
+        free = (columns - 1) // 2
+        self.guard = (config.guard_range, min(config.guard_doppler, max(0, free - 1)))
+        self.outer = (
+            config.guard_range + config.train_range,
+            min(config.guard_doppler + config.train_doppler, free),
+        )
+        self.outer_rows = _band(rows, self.outer[0], cyclic=False)
+        self.train_rows = self.outer_rows - _band(rows, self.guard[0], cyclic=False)
+        self.guard_columns = _band(columns, self.guard[1], cyclic=True)
+        self.train_columns = _band(columns, self.outer[1], cyclic=True) - self.guard_columns
+
+    def sums(self, power: np.ndarray) -> np.ndarray:
+        """Sum over the training cells of every cell, (R, D). No difference of large sums is taken."""
+        beside = self.outer_rows @ power @ self.train_columns
+        before_and_behind = self.train_rows @ power @ self.guard_columns
+        total: np.ndarray = beside + before_and_behind
+        return total
+
+    def offsets(self) -> tuple[np.ndarray, np.ndarray]:
+        """Row and column offsets of all training cells of an inner cell."""
+        rows, columns = np.mgrid[-self.outer[0] : self.outer[0] + 1, -self.outer[1] : self.outer[1] + 1]
+        train = (np.abs(rows) > self.guard[0]) | (np.abs(columns) > self.guard[1])
+        return rows[train], columns[train]
+
+
+class CellAveraging:
+    """Noise = the mean of the training cells."""
+
+    def __init__(self, config: CfarConfig, rows: int, columns: int, looks: int) -> None:
+        self._zone = Zone(config, rows, columns)
+        count = self._zone.sums(np.ones((rows, columns), np.float32))
+        scale = _per_count(count, lambda n: ca_scale(config.p_fa, n, looks)) if config.p_fa else None
+        self._per_cell = (1.0 / count).astype(np.float32)
+        self._scale = np.float32(10 ** (config.threshold_db / 10)) if scale is None else scale
+
+    def detect(self, power: np.ndarray) -> Hits:
+        """Cells of the (R, D) float32 power map that exceed scale times their noise."""
+        noise = self._zone.sums(power) * self._per_cell
+        row, column = np.nonzero(power > self._scale * noise)
+        return Hits(row, column, noise[row, column])
+
+
+class OrderedStatistic:
+    """Noise from the k-th smallest training cell: a second target in the training zone does not raise it."""
+
+    def __init__(self, config: CfarConfig, rows: int, columns: int, looks: int) -> None:
+        self._zone = Zone(config, rows, columns)
+        self._offsets = self._zone.offsets()
+        count = self._zone.sums(np.ones((rows, columns), np.float32))
+        rank = np.maximum(1, np.round(config.os_fraction * count)).astype(np.intp)
+        ratio = _per_count(count, lambda n: os_mean_ratio(max(1, round(config.os_fraction * n)), n, looks))
+        if config.p_fa:
+            scale = _per_count(count, lambda n: os_scale(config.p_fa, max(1, round(config.os_fraction * n)), n, looks))
+        else:
+            scale = 10 ** (config.threshold_db / 10) / ratio
+        self._rank, self._ratio, self._scale = rank, ratio, scale.astype(np.float32)
+
+    def detect(self, power: np.ndarray) -> Hits:
+        """Cells of the (R, D) float32 power map that exceed scale times their order statistic."""
+        row, column = np.nonzero(power > self._scale * self._least(power))
+        statistic = self._statistic(power, row, column)
+        over = power[row, column] > self._scale[row, column] * statistic
+        row, column = row[over], column[over]
+        return Hits(row, column, statistic[over] / self._ratio[row, column])
+
+    def _least(self, power: np.ndarray) -> np.ndarray:
+        """A lower bound of the statistic, cheap: the least cell around. Spares most cells the sorting."""
+        size = [2 * extent + 1 for extent in self._zone.outer]
+        least: np.ndarray = scipy.ndimage.minimum_filter(power, size, mode=["nearest", "wrap"])
+        return least
+
+    def _statistic(self, power: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """The k-th smallest training cell of the given cells; cells beyond the ends of range sort last."""
+        margin = self._zone.outer[0]
+        padded = np.pad(power, ((margin, margin), (0, 0)), constant_values=np.inf)
+        rows = row[:, None] + self._offsets[0] + margin
+        columns = (column[:, None] + self._offsets[1]) % power.shape[1]
+        cells = np.sort(padded[rows, columns], axis=1)
+        return np.take_along_axis(cells, self._rank[row, column][:, None] - 1, axis=1)[:, 0]
+
+
+Cfar = CellAveraging | OrderedStatistic
+
+
+def build_cfar(config: CfarConfig, rows: int, columns: int, looks: int) -> Cfar:
+    """The configured detector for a (rows, columns) map that is the mean of ``looks`` receivers."""
+    kind = CellAveraging if config.kind == "ca" else OrderedStatistic
+    return kind(config, rows, columns, looks)
+
+
+def _band(length: int, half_width: int, *, cyclic: bool) -> np.ndarray:
+    """(length, length) float32 of 0 and 1: which cells lie within half_width of each cell."""
+    index = np.arange(length)
+    distance = np.abs(index[:, None] - index[None, :])
+    if cyclic:
+        distance = np.minimum(distance, length - distance)
+    return (distance <= half_width).astype(np.float32)
+
+
+def _per_count(count: np.ndarray, value_of: Callable[[int], float]) -> np.ndarray:
+    """Evaluate a function of the number of training cells once per distinct number."""
+    result = np.empty(count.shape, np.float32)
+    for n in np.unique(count):
+        result[count == n] = value_of(round(float(n)))
+    return result

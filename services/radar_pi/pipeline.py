@@ -1,0 +1,182 @@
+"""One radar frame -> tracks with levels. No I/O, no clock: the same arrays give the same messages.
+
+Raw chirps -> range FFT -> background subtraction -> Doppler FFT -> integration over receivers -> CFAR -> bodies ->
+Kalman tracks -> alarm levels, and beside them the radar's own health.
+"""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import numpy as np
+
+from common.messages import RadarDetection, RadarDetections, RadarTrack, RadarTracks, worst
+from services.radar_pi.alarm import alarm_level, approached_s_ago, is_moving, static_level, time_to_collision_s
+from services.radar_pi.axes import derive_axes
+from services.radar_pi.azimuth import PairAzimuth
+from services.radar_pi.cfar import build_cfar
+from services.radar_pi.clutter import Clutter
+from services.radar_pi.config import RadarConfig
+from services.radar_pi.detection import Detection, find_peaks, group
+from services.radar_pi.health import HealthMonitor, saturated_fraction
+from services.radar_pi.spectrum import RangeDoppler, mean_power
+from services.radar_pi.tracking import Track, Tracker
+
+FRAME_ID = "radar"
+GAP_PERIODS = 5  # without frames for so long the chip was restarted: its phase, and the background, have changed
+
+
+class RadarPipeline:
+    """All state of one radar: background, tracks, health."""
+
+    def __init__(self, config: RadarConfig) -> None:
+        self.config = config
+        self.axes = axes = derive_axes(config.waveform, config.processing)
+        receivers = config.waveform.rx
+        processing = config.processing
+        self.transform = RangeDoppler(config.waveform, processing.window, axes.far_bin)
+        self.clutter = Clutter(processing.mti_memory, processing.settling_frames, subtract=processing.mti)
+        self.cfar = build_cfar(config.cfar, axes.far_bin - axes.near_bin, config.waveform.chirps, len(receivers))
+        self.azimuth = PairAzimuth(config.azimuth, receivers, axes.wavelength_m)
+        self.tracker = Tracker(config.tracking, config.detection, axes.v_max_mps)
+        self.health = HealthMonitor(config.health)
+        self._shape = (len(receivers), config.waveform.chirps, config.waveform.samples)
+        self._stamp_ns: int | None = None
+        self._power: np.ndarray | None = None
+        self._detections: list[Detection] = []
+        self._result: RadarTracks | None = None
+
+    def reset(self) -> None:
+        """Forget background and tracks: the chip was restarted."""
+        self.clutter.reset()
+        self.tracker.tracks.clear()
+
+    def process(self, stamp_ns: int, frame: np.ndarray, ego_speed_mps: float | None = None) -> RadarTracks:
+        """One frame of ADC samples to the tracks of that moment.
+
+        Args:
+            stamp_ns: UTC ns of the frame's first chirp.
+            frame: (rx, chirp, sample) 12-bit ADC samples.
+            ego_speed_mps: forward speed of the vehicle, None = unknown.
+
+        Raises:
+            ValueError: the frame's shape is not the waveform's.
+        """
+        started = perf_counter()
+        self._reset_after_gap(stamp_ns)
+        # 1. window and range FFT: beat frequency is range
+        profiles = self.transform.profiles(frame)
+        # 2. moving target indication: take away what stands still
+        moving = self.clutter.remove(profiles)
+        # 3. window and Doppler FFT, then the mean power over the receivers
+        spectrum = self.transform.doppler(moving)
+        power = mean_power(spectrum)
+        transformed = perf_counter()
+        # 4. cells above the noise around them, grouped to bodies with range, velocity and azimuth
+        detections = self._detect(power[self.axes.near_bin :], spectrum)
+        detected = perf_counter()
+        # 5. tracks over time
+        tracks = self.tracker.update(stamp_ns, detections)
+        # 6. can the radar see at all?
+        noise_floor_db = noise_power_db(power[self.axes.near_bin :], len(frame))
+        health = self.health.judge(
+            self.clutter.frames_to_settle, saturated_fraction(frame), noise_floor_db, self._leakage_db()
+        )
+        # 7. what each track means
+        reports = [self._report(track, stamp_ns, ego_speed_mps) for track in tracks]
+        standing = [track for track in tracks if not is_moving(track, ego_speed_mps, self.config.tracking)]
+        self._power, self._detections = power, detections
+        self._result = RadarTracks(
+            stamp_ns=stamp_ns,
+            frame_id=FRAME_ID,
+            state=health.state,
+            reason=health.reason,
+            stage_ms={
+                "transform": (transformed - started) * 1e3,
+                "detect": (detected - transformed) * 1e3,
+                "track": (perf_counter() - detected) * 1e3,
+            },
+            tracks=reports,
+            level=worst(*(report.level for report in reports)),
+            settled=self.clutter.frames_to_settle == 0,
+            noise_floor_db=noise_floor_db,
+            static_level=static_level(standing, self.config.alarm),
+            v_max_mps=self.axes.v_max_mps,
+            range_min_m=max(0.0, self.axes.range_min_m),
+            range_max_m=self.axes.range_max_m,
+        )
+        return self._result
+
+    def detections(self) -> RadarDetections:
+        """Range-Doppler map and detections of the last frame, for people.
+
+        Raises:
+            RuntimeError: no frame has been processed yet.
+        """
+        if self._power is None or self._result is None:
+            raise RuntimeError("no radar frame has been processed yet")
+        return RadarDetections(
+            stamp_ns=self._result.stamp_ns,
+            frame_id=FRAME_ID,
+            received_ns=self._result.received_ns,
+            state=self._result.state,
+            reason=self._result.reason,
+            detections=[
+                RadarDetection(
+                    range_m=max(0.0, d.range_m), azimuth_rad=d.azimuth_rad, velocity_mps=d.velocity_mps, snr_db=d.snr_db
+                )
+                for d in self._detections
+            ],
+            range_doppler_db=10 * np.log10(np.maximum(self._power, 1e-12)),
+            range_axis_m=self.axes.range_m[: self.axes.far_bin].astype(np.float32),
+            velocity_axis_mps=self.axes.velocity_mps.astype(np.float32),
+        )
+
+    def _reset_after_gap(self, stamp_ns: int) -> None:
+        limit_ns = GAP_PERIODS * self.config.waveform.frame_period_s * 1e9
+        if self._stamp_ns is not None and not 0 <= stamp_ns - self._stamp_ns <= limit_ns:
+            self.reset()
+        self._stamp_ns = stamp_ns
+
+    def _detect(self, power: np.ndarray, spectrum: np.ndarray) -> list[Detection]:
+        """CFAR, peaks, physical values, bodies. ``power`` starts at the nearest bin that is looked at."""
+        axes, config = self.axes, self.config.detection
+        hits = self.cfar.detect(power)
+        peaks = find_peaks(power, hits, 4 * config.max_detections)
+        velocity_mps = (peaks.column_exact - len(axes.velocity_mps) // 2) * axes.velocity_bin_mps
+        range_m = axes.to_range_m(peaks.row_exact + axes.near_bin, velocity_mps)
+        azimuth_rad = self.azimuth.measure(spectrum, peaks.row + axes.near_bin, peaks.column)
+        bodies = group(peaks, range_m, velocity_mps, azimuth_rad, axes.v_max_mps, config)
+        limit_rad = self.config.azimuth.field_of_view_rad
+        return [body for body in bodies if body.azimuth_rad is None or abs(body.azimuth_rad) <= limit_rad]
+
+    def _leakage_db(self) -> float:
+        """Static power in the bins nearer than anything that is looked at: transmitter leakage, window, cover."""
+        background = self.clutter.background
+        near = 1.0 if background is None else float((np.abs(background[:, : self.axes.near_bin]) ** 2).mean())
+        return 10 * float(np.log10(max(near, 1e-12)))
+
+    def _report(self, track: Track, stamp_ns: int, ego_speed_mps: float | None) -> RadarTrack:
+        tracking = self.config.tracking
+        ttc_s = time_to_collision_s(track, tracking)
+        ago_s = approached_s_ago(track, stamp_ns)
+        return RadarTrack(
+            track_id=track.track_id,
+            range_m=track.range_m,
+            azimuth_rad=track.azimuth_rad,
+            velocity_mps=track.velocity_mps,
+            age_frames=track.age,
+            approaching=track.approaching,
+            moving=is_moving(track, ego_speed_mps, tracking),
+            ttc_s=ttc_s,
+            level=alarm_level(track, ttc_s, ago_s, self.config.alarm, tracking.moving_mps),
+            snr_db=track.snr_db,
+            coasting=track.misses > 0,
+            approached_s_ago=ago_s,
+        )
+
+
+def noise_power_db(power: np.ndarray, looks: int) -> float:
+    """Noise per ADC sample in dB over one squared step: the median cell, corrected to the mean of Gamma(looks)."""
+    median_over_mean = 1 - 1 / (9 * looks)  # Wilson-Hilferty, cubed
+    return 10 * float(np.log10(max(float(np.median(power)), 1e-12) / median_over_mean**3))

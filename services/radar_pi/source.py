@@ -1,0 +1,139 @@
+"""Where frames come from: the chip, a recording or the simulated world. The only file that opens a device or waits.
+
+Every source yields ``(stamp_ns, received_ns, frame)``: UTC of the middle of the measurement, UTC when the frame was
+complete, and (rx, chirp, sample) ADC samples.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from common.clock import monotonic_s, utc_ns
+from common.config import ConfigError
+from common.messages import EgoMotion
+from common.pubsub import Latest
+from common.sim import bgt60, world
+from common.sim.model import DeviceUnplugged
+from common.source_url import SourceUrl, parse_source
+from common.status import Report
+from common.topics import EGO_MOTION
+from services.radar_pi.axes import derive_axes
+from services.radar_pi.config import RadarConfig, WaveformConfig
+from services.radar_pi.exports import plan
+from services.radar_pi.parser import RecordingError
+from services.radar_pi.recording import Recording, open_recording
+
+SCHEMES: dict[str, tuple[str, ...]] = {"sim": ("t0",), "file": ("rate", "loop"), "spi": ()}
+
+Frames = Iterator[tuple[int, int, np.ndarray]]
+
+
+def with_waveform_of_source(config: RadarConfig) -> RadarConfig:
+    """The configuration with the waveform that its source really has: that of the recording, or the chip's.
+
+    Raises:
+        ConfigError: a wrong source, a missing or broken recording, a waveform that the chip cannot do.
+    """
+    url = parse_source(config.source, SCHEMES)
+    if url.scheme == "file":
+        return msgspec.structs.replace(config, waveform=_recording(url).waveform)
+    if url.scheme == "spi":
+        return msgspec.structs.replace(config, waveform=plan(config.waveform).waveform)
+    return config
+
+
+def open_source(config: RadarConfig, report: Report) -> Frames:
+    """Frames of the configured source; ends when a recording ends.
+
+    Raises:
+        ConfigError: the source cannot be opened as it is written.
+    """
+    url = parse_source(config.source, SCHEMES)
+    if url.scheme == "file":
+        return _replay(_recording(url), url.number("rate", 1.0), loop=url.flag("loop"))
+    if url.scheme == "spi":
+        from services.radar_pi.link import open_spi  # the driver's libraries are an extra of their own
+
+        return open_spi(config, report)
+    if url.target not in world.SCENARIOS:
+        raise ConfigError(f"source {url}: no such scenario; known: {', '.join(world.SCENARIOS)}")
+    return _simulate(url, config.waveform, report)
+
+
+class EgoSpeed:
+    """The vehicle's speed while it is fresh. ``latest`` is the subscription to EGO_MOTION."""
+
+    def __init__(self, latest: Latest[EgoMotion]) -> None:
+        self._latest = latest
+        self._speed_mps: float | None = None
+        self._arrived_s = 0.0
+
+    def now_mps(self) -> float | None:
+        """Forward speed; None = nobody tells, or what was told is too old."""
+        for received in self._latest.take():
+            self._speed_mps, self._arrived_s = received.message.speed_mps, received.arrived_s
+        fresh = monotonic_s() - self._arrived_s <= (EGO_MOTION.age_limit_s or 0.0)
+        return self._speed_mps if fresh else None
+
+
+def _recording(url: SourceUrl) -> Recording:
+    try:
+        return open_recording(Path(url.target))
+    except RecordingError as error:
+        raise ConfigError(f"source {url}: {error}") from None
+
+
+def _replay(recording: Recording, rate: float, *, loop: bool) -> Frames:
+    """Recorded frames as if they came now, ``rate`` times as fast; rate 0 does not wait."""
+    period_ns = round(recording.waveform.frame_period_s * 1e9)
+    first_ns = int(recording.stamps_ns[0])
+    length_ns = int(recording.stamps_ns[-1]) - first_ns + period_ns
+    start_s, start_ns, turn = monotonic_s(), utc_ns(), 0
+    while True:
+        for stamp_ns, frame in recording:
+            due_ns = stamp_ns - first_ns + turn * length_ns
+            if rate > 0:
+                due_ns = round(due_ns / rate)
+                time.sleep(max(0.0, start_s + due_ns * 1e-9 - monotonic_s()))
+            yield start_ns + due_ns, utc_ns(), frame
+        if not loop:
+            return
+        turn += 1
+
+
+def _simulate(url: SourceUrl, waveform: WaveformConfig, report: Report) -> Frames:
+    """The simulated world through the radar's eyes, at the waveform's frame rate; frames that came late are skipped."""
+    axes = derive_axes(waveform)
+    sampled = bgt60.Waveform(
+        start_frequency_hz=axes.first_sample_hz,
+        sampled_bandwidth_hz=axes.sampled_bandwidth_hz,
+        samples=waveform.samples,
+        chirps=waveform.chirps,
+        sample_rate_hz=waveform.sample_rate_hz,
+        chirp_period_s=waveform.chirp_period_s,
+        rx=waveform.rx,
+        hp_cutoff_hz=waveform.hp_cutoff_hz,
+        lp_cutoff_hz=waveform.lp_cutoff_hz,
+    )
+    t0_s = url.number("t0", 0.0) if "t0" in url.params else None
+    start_s, start_ns = monotonic_s(), utc_ns()
+    number = 0
+    while True:
+        due_s = number * waveform.frame_period_s
+        time.sleep(max(0.0, start_s + due_s - monotonic_s()))
+        stamp_ns = start_ns + round(due_s * 1e9)
+        try:
+            frame = bgt60.frame(url.target, world.scenario_time(url.target, stamp_ns, t0_s, start_ns), sampled)
+            yield stamp_ns, utc_ns(), frame
+        except DeviceUnplugged as error:
+            report.state("disconnected", f"{error}: check the plug; trying again")
+        except TimeoutError as error:
+            report.state("disconnected", f"{error}: restarting the chip")
+        behind = int((monotonic_s() - start_s) / waveform.frame_period_s) - number
+        report.dropped(max(0, behind - 1))
+        number += max(1, behind)

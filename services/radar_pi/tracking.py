@@ -1,0 +1,182 @@
+"""Kalman tracks in range, range rate and azimuth; the filter's steps are filterpy's.
+
+Constant velocity with white acceleration; azimuth is a random walk. Gates are Mahalanobis distances from the
+*predicted* measurement, so a target may move any distance between two frames. Assignment: Munkres / Jonker-Volgenant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from filterpy.kalman import predict, update
+from scipy.optimize import linear_sum_assignment
+
+from services.radar_pi.config import DetectionConfig, TrackingConfig
+from services.radar_pi.detection import Detection
+
+RANGE, VELOCITY, AZIMUTH = range(3)
+_UNKNOWN_AZIMUTH_VARIANCE = 1.0
+_FAR = 1e6
+
+
+@dataclass
+class Track:
+    """One body over time. Counters are in frames."""
+
+    track_id: int
+    state: np.ndarray  # (3,) metres, metres per second, radians
+    covariance: np.ndarray  # (3, 3)
+    snr_db: float
+    has_azimuth: bool
+    age: int = 1  # detections since creation
+    misses: int = 0  # in a row
+    closing: int = 0  # closing detections in a row; a miss starts over
+    not_closing: int = 0  # detections in a row that do not close
+    approaching: bool = False  # the approach gate has passed
+    last_approach_ns: int | None = None
+    confirmed: bool = field(default=False)
+
+    @property
+    def range_m(self) -> float:
+        return max(0.0, float(self.state[RANGE]))
+
+    @property
+    def velocity_mps(self) -> float:
+        return float(self.state[VELOCITY])
+
+    @property
+    def azimuth_rad(self) -> float | None:
+        return float(self.state[AZIMUTH]) if self.has_azimuth else None
+
+
+class Tracker:
+    """All tracks of one radar. ``update`` is called once per frame, with no detections too."""
+
+    def __init__(self, config: TrackingConfig, body: DetectionConfig, v_max_mps: float) -> None:
+        self._config = config
+        self._body = body
+        self._v_max_mps = v_max_mps
+        self._noise = np.diag([config.sigma_range_m**2, config.sigma_velocity_mps**2, config.sigma_azimuth_rad**2])
+        self._next_id = 1
+        self._stamp_ns: int | None = None
+        self.tracks: list[Track] = []
+
+    @property
+    def confirmed(self) -> list[Track]:
+        return [track for track in self.tracks if track.confirmed]
+
+    def update(self, stamp_ns: int, detections: list[Detection]) -> list[Track]:
+        """Predict, associate, correct, create, delete. Returns the confirmed tracks."""
+        dt_s = 0.0 if self._stamp_ns is None else max(0.0, (stamp_ns - self._stamp_ns) * 1e-9)
+        self._stamp_ns = stamp_ns
+        for track in self.tracks:
+            self._predict(track, dt_s)
+        free = list(range(len(detections)))
+        for group in (self.confirmed, [track for track in self.tracks if not track.confirmed]):
+            taken = self._associate(group, detections, free)
+            for i, track in enumerate(group):
+                if i in taken:
+                    self._correct(track, detections[taken[i]], stamp_ns)
+                else:
+                    self._miss(track)
+            free = [j for j in free if j not in taken.values()]
+        self.tracks = [track for track in self.tracks if track.misses < self._patience(track)]
+        self._create([detections[j] for j in free], stamp_ns)
+        return self.confirmed
+
+    def _predict(self, track: Track, dt_s: float) -> None:
+        c = self._config
+        transition = np.array([[1.0, dt_s, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+        kick = c.sigma_acceleration_mps2 * np.array([0.5 * dt_s**2, dt_s, 0.0])
+        process = np.outer(kick, kick)
+        process[AZIMUTH, AZIMUTH] = (c.sigma_azimuth_rate_radps * dt_s) ** 2
+        track.state, track.covariance = predict(track.state, track.covariance, F=transition, Q=process)
+
+    def _associate(self, tracks: list[Track], detections: list[Detection], free: list[int]) -> dict[int, int]:
+        """Track index -> detection index, at least total distance, within the gate."""
+        if not tracks or not free:
+            return {}
+        cost = np.array([[self._distance(track, detections[j]) for j in free] for track in tracks])
+        cost[cost > self._config.gate] = _FAR
+        pairs = zip(*linear_sum_assignment(cost), strict=True)
+        return {int(i): free[int(j)] for i, j in pairs if cost[i, j] < _FAR}
+
+    def _distance(self, track: Track, detection: Detection) -> float:
+        """Squared Mahalanobis distance between predicted and measured (range, velocity, azimuth)."""
+        measured, noise = self._measurement(track, detection)
+        n = len(measured)
+        residual = measured - track.state[:n]
+        return float(residual @ np.linalg.solve(track.covariance[:n, :n] + noise, residual))
+
+    def _measurement(self, track: Track, detection: Detection) -> tuple[np.ndarray, np.ndarray]:
+        """The measurement with its velocity unfolded to the nearest alias of the track's, and its covariance."""
+        span = 2 * self._v_max_mps
+        folds = round((track.velocity_mps - detection.velocity_mps) / span)
+        values = [detection.range_m, detection.velocity_mps + folds * span]
+        if detection.azimuth_rad is not None:
+            values.append(detection.azimuth_rad)
+        n = len(values)
+        return np.array(values), self._noise[:n, :n]
+
+    def _correct(self, track: Track, detection: Detection, stamp_ns: int) -> None:
+        measured, noise = self._measurement(track, detection)
+        observe = np.eye(3)[: len(measured)]
+        track.state, track.covariance = update(track.state, track.covariance, measured, noise, observe)
+        track.snr_db = detection.snr_db
+        track.has_azimuth |= detection.azimuth_rad is not None
+        track.age += 1
+        track.misses = 0
+        track.confirmed |= track.age >= self._config.confirm_frames
+        self._judge_approach(track, stamp_ns)
+
+    def _judge_approach(self, track: Track, stamp_ns: int) -> None:
+        """The approach gate: so many closing frames in a row open it, as many that do not close shut it."""
+        if track.velocity_mps <= -self._config.moving_mps:
+            track.closing, track.not_closing = track.closing + 1, 0
+        else:
+            track.closing, track.not_closing = 0, track.not_closing + 1
+        if track.closing >= self._config.approach_frames:
+            track.approaching = True
+            track.last_approach_ns = stamp_ns
+        elif track.not_closing >= self._config.approach_frames:
+            track.approaching = False
+
+    def _miss(self, track: Track) -> None:
+        track.misses += 1
+        track.closing = 0  # the gate starts over; an alarm that runs goes on
+
+    def _patience(self, track: Track) -> int:
+        """Misses that end a track: before confirmation frames have to be consecutive."""
+        return self._config.delete_misses if track.confirmed else 1
+
+    def _create(self, detections: list[Detection], stamp_ns: int) -> None:
+        """New tracks from what is left, unless it is a part of a body that has been seen in this frame."""
+        for detection in detections:
+            if any(track.misses == 0 and self._same_body(track, detection) for track in self.tracks):
+                continue
+            azimuth = detection.azimuth_rad
+            covariance = self._noise.copy()
+            if azimuth is None:
+                covariance[AZIMUTH, AZIMUTH] = _UNKNOWN_AZIMUTH_VARIANCE
+            track = Track(
+                track_id=self._next_id,
+                state=np.array([detection.range_m, detection.velocity_mps, azimuth or 0.0]),
+                covariance=covariance,
+                snr_db=detection.snr_db,
+                has_azimuth=azimuth is not None,
+                confirmed=self._config.confirm_frames <= 1,
+            )
+            self._judge_approach(track, stamp_ns)
+            self._next_id += 1
+            self.tracks.append(track)
+
+    def _same_body(self, track: Track, detection: Detection) -> bool:
+        turned_rad = 0.0
+        if track.azimuth_rad is not None and detection.azimuth_rad is not None:
+            turned_rad = abs(track.azimuth_rad - detection.azimuth_rad)
+        return (
+            abs(track.range_m - detection.range_m) <= self._body.body_range_m
+            and abs(track.velocity_mps - detection.velocity_mps) <= self._body.body_velocity_mps
+            and turned_rad <= self._body.body_azimuth_rad
+        )
