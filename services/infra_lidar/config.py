@@ -53,8 +53,9 @@ class GroundConfig(Section, frozen=True, kw_only=True):
     limit_base_m: NotNegative = 0.5  # a cell height is believed within min(base + slope * range, max) of the plane
     limit_slope: NotNegative = 0.08
     limit_max_m: NotNegative = 2.0
-    below_m: NotNegative = 0.10  # a point is ground from this far below the surface ...
+    below_m: NotNegative = 0.30  # a point is ground from this far below the surface ...
     above_m: NotNegative = 0.15  # ... to this far above it
+    keep_below: bool = False  # points lower than that are obstacles (the article) or nothing
     max_step: Share = 0.12  # "surface": steepest slope from one cell to the next
 
 
@@ -68,6 +69,7 @@ class ClusteringConfig(Section, frozen=True, kw_only=True):
     min_points: Annotated[int, Meta(ge=1)] = 10
     max_points: Annotated[int, Meta(ge=1)] = 30_000
     max_height_m: Positive = 5.0
+    min_top_m: float = 0.4  # a cluster that does not reach this far above the road is no road user
     max_diagonal_m: Positive = 20.0
     body_height_m: NotNegative = 2.2  # cells are filled by points below this; higher ones join tall things. 0 = off
     trim_ground: bool = False  # the article's second look at a cluster's lowest points

@@ -1,0 +1,47 @@
+"""spotter-infra-lidar: tracked road users from a 128-beam lidar on a pole."""
+
+from __future__ import annotations
+
+import logging
+
+from common.launch import service_app
+from common.runtime import Service
+from common.topics import INFRA_CLUSTERS, INFRA_POINTS, INFRA_TRACKS
+from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.pipeline import InfraLidarPipeline
+from services.infra_lidar.source import open_source
+from services.infra_lidar.warm_up import warm_up
+
+log = logging.getLogger(__name__)
+
+
+def run(config: InfraLidarConfig) -> bool:
+    """Work until interrupted or until the source ends."""
+    with Service("infra_lidar", config) as service:
+        frames = open_source(config, service.report)
+        warm_up(config, lambda text: service.report.state("starting", text))
+        pipeline = InfraLidarPipeline(config)
+        publish_tracks = service.publisher(INFRA_TRACKS)
+        publish_clusters = service.publisher(INFRA_CLUSTERS)
+        publish_points = service.publisher(INFRA_POINTS)
+        for stamp_ns, frame in frames:
+            result = pipeline.process(stamp_ns, frame.points, frame.quality, frame.received_ns)
+            publish_tracks(result.tracks)
+            if publish_clusters.wanted:
+                publish_clusters(result.clusters_message())
+            if publish_points.wanted:
+                publish_points(result.points_message(config.points_limit))
+        log.info("the source has ended")
+    return service.closed_cleanly
+
+
+app = service_app("infra_lidar", InfraLidarConfig, run, __doc__)
+
+
+def main() -> None:
+    """Console entry point."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

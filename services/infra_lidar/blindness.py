@@ -1,0 +1,94 @@
+"""Can the sensor see? Beams, directions, near returns, losses and time, against what this sensor usually shows."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from services.infra_lidar.config import BlindnessConfig
+
+USUAL_GAIN = 0.02  # how fast "usual" follows good frames
+
+
+@dataclass(frozen=True)
+class FrameQuality:
+    """What the source knows about one frame."""
+
+    packets: int = 0
+    packets_lost: int = 0
+    complete: bool = True
+    dropped_frames: int = 0
+
+
+@dataclass(frozen=True)
+class Returns:
+    """What the passes over a frame counted: points, usable returns, returns near the window, beams, sectors."""
+
+    points: int
+    returns: int
+    near: int
+    beams: int  # 0 = the cloud has no ring column
+    sectors: int
+
+
+class BlindnessWatch:
+    """Turns what frames look like into online or degraded with reasons. Judges medians over a window of frames."""
+
+    def __init__(self, config: BlindnessConfig) -> None:
+        self._config = config
+        self._recent: deque[tuple[Returns, FrameQuality, float]] = deque(maxlen=config.window_frames)
+        self._usual: np.ndarray | None = None  # returns, beams, sectors
+
+    def judge(
+        self, seen: Returns, quality: FrameQuality | None, total_ms: float, complaint: str
+    ) -> tuple[Literal["online", "degraded"], str]:
+        """State and reason after this frame; ``complaint`` is what calibration has to say."""
+        self._recent.append((seen, quality or FrameQuality(), total_ms))
+        reasons = [complaint] if complaint else []
+        reasons += self._sight()
+        if not reasons:
+            self._learn(seen)
+        reasons += self._losses()
+        return ("degraded", "; ".join(reasons)) if reasons else ("online", "")
+
+    def _sight(self) -> list[str]:
+        config = self._config
+        returns, near, beams, sectors = np.median(
+            [(s.returns, s.near, s.beams, s.sectors) for s, _, _ in self._recent], axis=0
+        )
+        reasons = []
+        if returns < config.min_points:
+            return [f"only {returns:.0f} returns a frame: covered, or switched off"]
+        if near > config.max_near_share * returns:
+            reasons.append(f"{near / returns:.0%} of the returns are within {config.near_m:g} m: rain, fog or dirt")
+        if self._usual is None:
+            return reasons
+        usual_returns, usual_beams, usual_sectors = self._usual
+        if returns < config.min_points_share * usual_returns:
+            reasons.append(f"{returns:.0f} returns a frame instead of {usual_returns:.0f}")
+        if beams < (1.0 - config.max_lost_beams_share) * usual_beams:
+            reasons.append(f"{usual_beams - beams:.0f} of {usual_beams:.0f} beams are lost")
+        if sectors < config.min_sectors_share * usual_sectors:
+            reasons.append(f"{usual_sectors - sectors:.0f} of {usual_sectors:.0f} directions are covered")
+        return reasons
+
+    def _losses(self) -> list[str]:
+        config, reasons = self._config, []
+        packets = sum(q.packets for _, q, _ in self._recent)
+        lost = sum(q.packets_lost for _, q, _ in self._recent)
+        if lost > config.max_packet_loss_share * max(packets + lost, 1):
+            reasons.append(f"{lost / (packets + lost):.1%} of the packets are lost")
+        partial = sum(not q.complete for _, q, _ in self._recent)
+        if partial * 2 > len(self._recent):
+            reasons.append(f"{partial} of the last {len(self._recent)} revolutions are incomplete")
+        slow_ms = float(np.median([ms for _, _, ms in self._recent]))
+        if slow_ms > config.budget_ms:
+            reasons.append(f"processing takes {slow_ms:.0f} ms a frame, {config.budget_ms:g} are allowed")
+        return reasons
+
+    def _learn(self, seen: Returns) -> None:
+        now = np.array([seen.returns, seen.beams, seen.sectors], float)
+        self._usual = now if self._usual is None else self._usual + USUAL_GAIN * (now - self._usual)

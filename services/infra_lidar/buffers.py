@@ -1,0 +1,27 @@
+"""Reused memory: a frame allocates nothing once the largest frame has been seen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+class Buffers:
+    """Named arrays that grow to the largest size asked for. A view is valid until the same name is taken again."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, np.ndarray] = {}
+
+    def take(self, name: str, length: int, dtype: Any) -> np.ndarray:
+        """An uninitialised (length,) array of ``dtype``."""
+        array = self._arrays.get(name)
+        if array is None or len(array) < length or array.dtype != dtype:
+            array = np.empty(length + length // 8, dtype)
+            self._arrays[name] = array
+        return array[:length]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes held."""
+        return sum(array.nbytes for array in self._arrays.values())

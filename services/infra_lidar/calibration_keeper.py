@@ -1,0 +1,85 @@
+"""Which calibration is in use, and whether the pole still stands as it did."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.infra_lidar.calibration import Calibration, Calibrator, fit_level_surface
+from services.infra_lidar.config import CalibrationConfig
+from services.infra_lidar.ground import Levelled
+
+WATCH_POINTS = 4000
+WATCH_BAND_M = 0.4  # a nudge up to this height error at 20 m is measured, a larger one loses the road and says so
+CHECKS_TO_BELIEVE = 3
+
+
+class CalibrationKeeper:
+    """Calibrates from the first frames, then watches for a nudge: tilt and height against the calibration in use."""
+
+    def __init__(self, config: CalibrationConfig, stored: Calibration | None = None) -> None:
+        self._config = config
+        self._calibrator: Calibrator | None = None
+        self._current: Calibration | None = stored
+        self._next_check_ns = 0
+        self._suspicious = 0
+        self._seen_lost = 0
+        self.nudge_deg = 0.0
+        self.nudge_m = 0.0
+        if stored is None:
+            self.restart()
+
+    def restart(self) -> None:
+        """Forget the calibration and begin again with the next frame."""
+        self._calibrator = Calibrator(self._config)
+        self._suspicious = 0
+        self._seen_lost = 0
+        self.nudge_deg = self.nudge_m = 0.0
+
+    @property
+    def settled(self) -> bool:
+        """True when the calibration no longer changes from frame to frame."""
+        return self._calibrator is None
+
+    @property
+    def complaint(self) -> str:
+        """Why the calibration should not be relied on; empty when it may."""
+        if self._current is not None and self._current.refused:
+            return f"not calibrated: {self._current.refused}"
+        if self._suspicious >= CHECKS_TO_BELIEVE:
+            return (
+                f"the sensor has moved: {self.nudge_deg:.2f} deg and {self.nudge_m * 100:+.0f} cm "
+                "against its calibration; recalibrate"
+            )
+        if self._seen_lost >= CHECKS_TO_BELIEVE:
+            return "the road near the sensor is no longer where it was calibrated; recalibrate"
+        return ""
+
+    def update(self, points: np.ndarray) -> Calibration:
+        """The calibration for this frame, (N, 3+) float32 sensor frame."""
+        if self._calibrator is not None:
+            fresh = self._calibrator.add(points)
+            if self._calibrator.complete:
+                self._calibrator = Calibrator(self._config) if fresh.refused else None
+            if self._current is None or not fresh.refused or self._current.refused:
+                self._current = fresh
+        assert self._current is not None
+        return self._current
+
+    def look_after(self, stamp_ns: int, frame: Levelled) -> None:
+        """Measure the road again every ``check_period_s``, in the level frame of ``frame``."""
+        if not self.settled or stamp_ns < self._next_check_ns:
+            return
+        self._next_check_ns = stamp_ns + int(self._config.check_period_s * 1e9)
+        step = max(1, len(frame.x) // (20 * WATCH_POINTS))
+        x, y, z = frame.x[::step], frame.y[::step], frame.z[::step]
+        near = (x * x + y * y < self._config.radius_m**2) & (np.abs(z) < WATCH_BAND_M)
+        road = np.stack([x[near], y[near], z[near]], axis=1).astype(np.float64)
+        if len(road) < 50:
+            self._seen_lost += 1
+            return
+        self._seen_lost = 0
+        coefficients, _ = fit_level_surface(road, WATCH_BAND_M)
+        self.nudge_deg = float(np.degrees(np.hypot(coefficients[1], coefficients[2])))
+        self.nudge_m = float(coefficients[0])
+        moved = self.nudge_deg > self._config.nudge_tilt_deg or abs(self.nudge_m) > self._config.nudge_height_m
+        self._suspicious = self._suspicious + 1 if moved else 0

@@ -1,0 +1,137 @@
+"""Clusters: connected components of occupied bird's-eye-view cells, sized by range, then split and merged.
+
+Cells grow with range because the spacing of returns does: near the sensor 15 cm keep two pedestrians apart, far away
+the same cell would break a car. Cells are filled by points up to the height of a body; what is above joins tall things
+(buses) only, so that a tree's canopy does not tie the cars below it together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.infra_lidar import kernels_clusters as clusters
+from services.infra_lidar import kernels_labels as labels
+from services.infra_lidar.buffers import Buffers
+from services.infra_lidar.config import ClusteringConfig
+from services.infra_lidar.ground import Levelled
+
+TALL_BAND_M = 0.4  # a component with points in the top of the body band goes on above it
+TALL_SHARE = 0.03
+
+
+@dataclass(frozen=True)
+class ClusterPoints:
+    """Clusters of one frame in the level frame.
+
+    cluster_id: (N,) int32 per point of the frame, -1 = none. points: (M, 3) float32, grouped; cluster k has
+    points[offsets[k]:offsets[k + 1]]. box: (K, 8) float32: centre x, y, z, length, width, height, yaw, gap to the road.
+    """
+
+    cluster_id: np.ndarray
+    points: np.ndarray
+    offsets: np.ndarray
+    box: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.box)
+
+    @property
+    def counts(self) -> np.ndarray:
+        """(K,) points per cluster."""
+        return np.diff(self.offsets)
+
+
+class Clustering:
+    """Clusters one sensor's frames. Holds buffers: one instance per sensor, one thread at a time."""
+
+    def __init__(self, config: ClusteringConfig, range_max_m: float, buffers: Buffers | None = None) -> None:
+        self._config = config
+        self._buffers = buffers or Buffers()
+        c, g = config.cell_m, config.cell_growth_m
+        reach = range_max_m / c if g == 0 else g / c * np.log1p(range_max_m / g)
+        self.side = 2 * int(np.ceil(reach)) + 2
+        words = (self.side + 63) // 64
+        self._once = np.zeros((self.side, words), np.uint64)
+        self._twice = np.zeros((self.side, words), np.uint64)
+        self._starts = np.zeros((self.side, words), np.uint64)
+        self._rank = np.zeros((self.side, words), np.int32)
+        self._row_start = np.zeros(self.side + 1, np.int32)
+
+    def cluster(self, frame: Levelled) -> ClusterPoints:
+        """Group the points of a frame that are not ground."""
+        x, y, z, above, source, low = self._candidates(frame)
+        label, components = self._components(x, y, low)
+        if self._config.body_height_m > 0:
+            self._join_high(label, above, low, components)
+        offsets, order, count = self._group(label, components)
+        box = self._measure(x, y, z, above, order, offsets)
+        keep = self._valid(box, np.diff(offsets))
+        clusters.renumber(label, keep)
+        kept = int(keep.max()) + 1 if len(keep) else 0
+        offsets, order, count = self._group(label, kept)
+        box = self._measure(x, y, z, above, order, offsets)
+        cluster_id = self._buffers.take("cluster_id", len(frame.x), np.int32)
+        points = np.empty((count, 3), np.float32)
+        clusters.write_ids(label, source, cluster_id, order, offsets, x, y, z, points)
+        return ClusterPoints(cluster_id, points, offsets, box)
+
+    def _candidates(self, frame: Levelled) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
+        m, take = len(frame.rest), self._buffers.take
+        x, y, z, above = (take(f"c_{name}", m, np.float32) for name in ("x", "y", "z", "above"))
+        source = take("c_source", m, np.int32)
+        low, _ = clusters.gather_points(
+            frame.rest, frame.x, frame.y, frame.z, frame.above_m, np.float32(self._config.body_height_m),
+            x, y, z, above, source,
+        )  # fmt: skip
+        return x, y, z, above, source, low
+
+    def _components(self, x: np.ndarray, y: np.ndarray, low: int) -> tuple[np.ndarray, int]:
+        """Component of every candidate: the cells are filled by the first ``low`` of them."""
+        config, m, take = self._config, len(x), self._buffers.take
+        row, column, label = take("row", m, np.int32), take("column", m, np.int32), take("label", m, np.int32)
+        zero = np.float32(0.0)
+        cell, growth = np.float32(config.cell_m), np.float32(config.cell_growth_m)
+        labels.grid_cells(x, y, zero, zero, cell, growth, self.side, row, column)
+        labels.occupy(row[:low], column[:low], self._once, self._twice)
+        bits = self._once if config.min_cell_points == 1 else self._twice
+        capacity = low + 1
+        parent, first, last = (take(name, capacity, np.int32) for name in ("parent", "first", "last"))
+        runs = labels.find_runs(bits, self._starts, self._rank, parent, first, last, self._row_start)
+        labels.join_rows(parent, first, last, self._row_start, int(config.connectivity == 8))
+        components = labels.number_components(parent, runs)
+        labels.point_labels(row, column, bits, self._starts, self._rank, parent, label)
+        return label, components
+
+    def _join_high(self, label: np.ndarray, above: np.ndarray, low: int, components: int) -> None:
+        take, body_m = self._buffers.take, self._config.body_height_m
+        tall = take("tall", components, np.bool_)
+        in_band, total = take("in_band", components, np.int32), take("total", components, np.int32)
+        clusters.tall_components(
+            label[:low], above[:low], components, np.float32(body_m - TALL_BAND_M), np.float32(body_m),
+            TALL_SHARE, in_band, total, tall,
+        )  # fmt: skip
+        clusters.drop_high_of_low(label, low, tall)
+
+    def _group(self, label: np.ndarray, components: int) -> tuple[np.ndarray, np.ndarray, int]:
+        offsets = np.zeros(components + 1, np.int64)
+        order = self._buffers.take("order", len(label), np.int32)
+        labels.group(label, components, offsets, order)
+        return offsets, order, int(offsets[-1])
+
+    def _measure(
+        self, x: np.ndarray, y: np.ndarray, z: np.ndarray, above: np.ndarray, order: np.ndarray, offsets: np.ndarray
+    ) -> np.ndarray:
+        box = np.empty((len(offsets) - 1, 8), np.float32)
+        clusters.measure(x, y, z, above, order, offsets, box)
+        return box
+
+    def _valid(self, box: np.ndarray, counts: np.ndarray) -> np.ndarray:
+        """(K,) int32: new number of each component, -1 where it fails the size filters."""
+        config = self._config
+        good = (counts >= config.min_points) & (counts <= config.max_points)
+        good &= box[:, 5] <= config.max_height_m
+        good &= box[:, 7] + box[:, 5] >= config.min_top_m
+        good &= np.hypot(box[:, 3], box[:, 4]) <= config.max_diagonal_m
+        return np.where(good, np.cumsum(good) - 1, -1).astype(np.int32)

@@ -1,0 +1,113 @@
+"""Ground: a polar grid of low-percentile heights, checked against its surroundings, as a surface that may slope.
+
+The article's grid gives one height per 5 m x 5 degree cell and believes it if it lies within min(0.5 + 0.08 r, 2) m of
+the calibration plane (``method = "flat"``). ``"surface"`` walks outward from the pole instead: a cell is road if its
+height continues that of its inner neighbours with at most ``max_step`` slope, and every cell gets a tangent plane from
+its accepted neighbours, so that a slope inside a cell, a car park above the road or a bus roof do not matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from services.infra_lidar import kernels_ground as kernels
+from services.infra_lidar import kernels_surface as surfaces
+from services.infra_lidar.buffers import Buffers
+from services.infra_lidar.config import GroundConfig
+
+
+@dataclass(frozen=True)
+class Levelled:
+    """One frame in the level frame: planar float32 views into buffers, valid until the next frame.
+
+    ground: (N,) bool. rest: (M,) int32 indices of points that are inside the limits and not ground.
+    above_m: (M,) float32 height of those above the local road. cell: (N,) int16 polar cell, -1 = clipped.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    cell: np.ndarray
+    ground: np.ndarray
+    rest: np.ndarray
+    above_m: np.ndarray
+    returns: int = 0
+    near: int = 0  # returns closer than ``near_m``
+
+
+class Ground:
+    """Labels the ground of one sensor's frames. Holds buffers: one instance per sensor, one thread at a time."""
+
+    def __init__(self, config: GroundConfig, buffers: Buffers | None = None, near_m: float = 2.5) -> None:
+        self._config = config
+        self._near_m = np.float32(near_m)
+        self._buffers = buffers or Buffers()
+        self.rings = int(np.ceil(config.range_max_m / config.ring_m)) + 1
+        self.sectors = round(360.0 / config.sector_deg)
+        cells = self.rings * self.sectors
+        lowest = config.height_min_m if config.method == "flat" else max(config.height_min_m, -config.limit_max_m - 1.0)
+        highest = config.height_max_m if config.method == "flat" else min(config.height_max_m, config.limit_max_m + 1.0)
+        self._lowest_m = np.float32(lowest)
+        self._histogram = np.zeros((cells, int(np.ceil((highest - lowest) / kernels.BIN_M)) + 1), np.uint16)
+        self._count = np.zeros(cells, np.int32)
+        self.height_m = np.full(cells, np.nan, np.float32)
+        self.surface = np.zeros((cells, 3), np.float32)
+        self.accepted = np.zeros(cells, bool)
+
+    def remove(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
+        """Level (N, 3+) float32 sensor-frame points and label their ground."""
+        config = self._config
+        frame = self._level(points, T_level_sensor)
+        kernels.polar_cells(
+            frame.x, frame.y, frame.z, np.float32(0.0), np.float32(0.0), np.float32(config.range_max_m),
+            np.float32(config.height_min_m), np.float32(config.height_max_m), np.float32(config.ring_m),
+            self.sectors, frame.cell,
+        )  # fmt: skip
+        kernels.height_histograms(frame.cell, frame.z, self._lowest_m, self._histogram, self._count)
+        kernels.cell_heights(
+            self._histogram, self._count, self._lowest_m, config.percentile, config.min_points, self.height_m
+        )
+        self._fit_surface()
+        m = kernels.label_ground(
+            frame.x, frame.y, frame.z, frame.cell, self.surface, np.float32(config.below_m),
+            np.float32(config.above_m), config.keep_below, frame.ground, frame.above_m, frame.rest,
+        )  # fmt: skip
+        return replace(frame, rest=frame.rest[:m], above_m=frame.above_m[:m])
+
+    @property
+    def sectors_seen(self) -> int:
+        """Number of sectors with a return in the last frame."""
+        return int(self._count.reshape(self.rings, self.sectors).any(axis=0).sum())
+
+    def road_height(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        """(K,) float32 height of the road below positions in the level frame, from the last frame's surface."""
+        ring = (np.hypot(x_m, y_m) / self._config.ring_m).astype(np.int64).clip(0, self.rings - 1)
+        sector = (
+            ((np.arctan2(y_m, x_m) + np.pi) * (self.sectors / (2 * np.pi))).astype(np.int64).clip(0, self.sectors - 1)
+        )
+        s = self.surface[ring * self.sectors + sector]
+        return np.asarray(s[:, 0] + s[:, 1] * x_m + s[:, 2] * y_m, np.float32)
+
+    def _level(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
+        n, take = len(points), self._buffers.take
+        frame = Levelled(
+            x=take("x", n, np.float32), y=take("y", n, np.float32), z=take("z", n, np.float32),
+            cell=take("cell", n, np.int16), ground=take("ground", n, np.bool_),
+            rest=take("rest", n + 1, np.int32), above_m=take("above", n + 1, np.float32),
+        )  # fmt: skip
+        returns, near = kernels.level(
+            points, T_level_sensor.astype(np.float32), self._near_m, frame.x, frame.y, frame.z
+        )
+        return replace(frame, returns=returns, near=near)
+
+    def _fit_surface(self) -> None:
+        config = self._config
+        grid = (self.rings, self.sectors)
+        fit = surfaces.flat_surface if config.method == "flat" else surfaces.sloped_surface
+        fit(
+            self.height_m.reshape(grid), np.float32(config.ring_m), np.float32(config.limit_base_m),
+            np.float32(config.limit_slope), np.float32(config.limit_max_m), np.float32(config.max_step),
+            self.surface.reshape(*grid, 3), self.accepted.reshape(grid),
+        )  # fmt: skip

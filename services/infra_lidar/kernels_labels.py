@@ -1,0 +1,165 @@
+"""Compiled connected components of occupied bird's-eye-view cells, by rows of bits and runs of set bits.
+
+A row of cells is a row of 64-bit words. Runs of occupied cells are nodes of a union-find over neighbouring rows
+(run-based labelling after He, Chao, Suzuki, 2008); a point finds its run by counting the run starts before its cell.
+Time is linear in the points plus the words of the grid.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.infra_lidar.jit import inline, kernel
+
+ONE = np.uint64(1)
+
+
+@inline
+def _popcount(v):  # type: ignore[no-untyped-def]
+    """Number of set bits of a uint64 (the compiler knows this pattern)."""
+    v = v - ((v >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    v = (v & np.uint64(0x3333333333333333)) + ((v >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    v = (v + (v >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return np.int32((v * np.uint64(0x0101010101010101)) >> np.uint64(56))
+
+
+@inline
+def _find(parent, i):  # type: ignore[no-untyped-def]
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@kernel
+def grid_cells(x, y, origin_x, origin_y, cell_m, growth_m, side, row, column):  # type: ignore[no-untyped-def]
+    """Cell of each point on a side x side grid centred on the origin; row, column (N,) int32 written.
+
+    growth_m > 0: radii are compressed by f(r) = g / c * ln(1 + r / g), so that a cell measures c near the sensor and
+    c (1 + r / g) along the ray at range r. growth_m = 0: plain squares of cell_m.
+    """
+    half = side // 2
+    for i in range(x.shape[0]):
+        dx, dy = x[i] - origin_x, y[i] - origin_y
+        scale = np.float32(1.0) / cell_m
+        if growth_m > 0:
+            r = max(np.sqrt(dx * dx + dy * dy), np.float32(1e-3))
+            scale = growth_m / cell_m * np.log1p(r / growth_m) / r
+        row[i] = min(max(np.int32(np.floor(dy * scale)) + half, 0), side - 1)
+        column[i] = min(max(np.int32(np.floor(dx * scale)) + half, 0), side - 1)
+
+
+@kernel
+def occupy(row, column, once, twice):  # type: ignore[no-untyped-def]
+    """Set the bits of cells that hold one point or more, and of those that hold two or more."""
+    once[:] = 0
+    twice[:] = 0
+    for i in range(row.shape[0]):
+        word, bit = column[i] >> 6, ONE << np.uint64(column[i] & 63)
+        seen = once[row[i], word]
+        twice[row[i], word] |= seen & bit
+        once[row[i], word] = seen | bit
+
+
+@kernel
+def find_runs(bits, starts, rank, parent, first, last, row_start):  # type: ignore[no-untyped-def]
+    """Runs of set bits, row by row. bits (R, W) uint64.
+
+    Writes per word the bits where runs start (``starts``) and the number of runs before it (``rank``), per run its
+    first and last column and itself as parent, per row its first run. Returns the number of runs.
+    """
+    rows, words = bits.shape
+    runs, ends = 0, 0
+    for r in range(rows):
+        row_start[r] = runs
+        carry = np.uint64(0)
+        for w in range(words):
+            word = bits[r, w]
+            rank[r, w] = runs
+            if word == 0:
+                starts[r, w] = word
+                carry = word
+                continue
+            s = word & ~((word << ONE) | carry)
+            starts[r, w] = s
+            following = bits[r, w + 1] & ONE if w + 1 < words else np.uint64(0)
+            e = word & ~((word >> ONE) | (following << np.uint64(63)))
+            carry = word >> np.uint64(63)
+            while s != 0:
+                low = s & (~s + ONE)
+                first[runs] = w * 64 + _popcount(low - ONE)
+                parent[runs] = runs
+                s ^= low
+                runs += 1
+            while e != 0:  # ends come in the order of the starts, some of them a word later
+                low = e & (~e + ONE)
+                last[ends] = w * 64 + _popcount(low - ONE)
+                e ^= low
+                ends += 1
+    row_start[rows] = runs
+    return runs
+
+
+@kernel
+def join_rows(parent, first, last, row_start, eight):  # type: ignore[no-untyped-def]
+    """Unite runs of neighbouring rows that overlap; with ``eight`` = 1 also those that touch at a corner."""
+    for r in range(1, row_start.shape[0] - 1):
+        a, b = row_start[r - 1], row_start[r]
+        while a < row_start[r] and b < row_start[r + 1]:
+            if first[a] <= last[b] + eight and first[b] <= last[a] + eight:
+                ra, rb = _find(parent, a), _find(parent, b)
+                parent[max(ra, rb)] = min(ra, rb)
+            if last[a] < last[b]:
+                a += 1
+            else:
+                b += 1
+
+
+@kernel
+def number_components(parent, runs):  # type: ignore[no-untyped-def]
+    """Replace each run's parent by its component's number 0..K-1; returns K.
+
+    A root is the smallest run of its component, so its number is known when its other runs come.
+    """
+    components = 0
+    for i in range(runs):
+        if parent[i] == i:
+            parent[i] = -1 - components  # numbers are stored as negatives until all are known
+            components += 1
+        else:
+            parent[i] = parent[parent[i]]
+    for i in range(runs):
+        parent[i] = -1 - parent[i]
+    return components
+
+
+@kernel
+def point_labels(row, column, bits, starts, rank, parent, label):  # type: ignore[no-untyped-def]
+    """Component of each point's cell, -1 where the cell is not occupied enough."""
+    for i in range(row.shape[0]):
+        r, w = row[i], column[i] >> 6
+        bit = ONE << np.uint64(column[i] & 63)
+        if bits[r, w] & bit:
+            upto = starts[r, w] & ((bit - ONE) | bit)
+            label[i] = parent[rank[r, w] + _popcount(upto) - 1]
+        else:
+            label[i] = -1
+
+
+@kernel
+def group(label, components, offsets, order):  # type: ignore[no-untyped-def]
+    """Stable counting sort: order[offsets[k]:offsets[k + 1]] are the points of component k. Labels < 0 are left out."""
+    offsets[: components + 1] = 0
+    for i in range(label.shape[0]):
+        if label[i] >= 0:
+            offsets[label[i] + 1] += 1
+    for k in range(components):
+        offsets[k + 1] += offsets[k]
+    for i in range(label.shape[0]):
+        k = label[i]
+        if k >= 0:
+            order[offsets[k]] = i
+            offsets[k] += 1
+    for k in range(components, 0, -1):
+        offsets[k] = offsets[k - 1]
+    offsets[0] = 0

@@ -1,0 +1,99 @@
+"""Compiled road surface over the cells of the polar grid: a thousand cells, so anything is affordable here."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.infra_lidar.jit import kernel
+
+
+@kernel
+def flat_surface(height, ring_m, base, slope, limit, max_step, surface, accepted):  # type: ignore[no-untyped-def]
+    """The article's rule: the cell's own height if it is near the calibration plane, else the plane.
+
+    height (rings, sectors) float32, NaN = unknown; surface (rings, sectors, 3) and accepted are written.
+    """
+    rings, sectors = height.shape
+    for r in range(rings):
+        allowed = min(base + slope * (r + np.float32(0.5)) * ring_m, limit)
+        for s in range(sectors):
+            h = height[r, s]
+            accepted[r, s] = abs(h) <= allowed
+            surface[r, s, 0] = h if accepted[r, s] else np.float32(0.0)
+            surface[r, s, 1] = 0.0
+            surface[r, s, 2] = 0.0
+
+
+@kernel
+def sloped_surface(height, ring_m, base, slope, limit, max_step, surface, accepted):  # type: ignore[no-untyped-def]
+    """Walk outward from the pole, accept cells that continue the road, then fit a tangent plane per cell.
+
+    height (rings, sectors) float32 low percentile, NaN = unknown; surface (rings, sectors, 3) and accepted written.
+    """
+    rings, sectors = height.shape
+    filled = np.empty((rings, sectors), np.float32)  # accepted height, or what was expected there
+    trend = np.zeros((rings, sectors), np.float32)  # rise per metre along the ray
+    trust = np.zeros((rings, sectors), np.float32)  # 1 measured, falling with every expected cell
+    for r in range(rings):
+        distance = (r + np.float32(0.5)) * ring_m
+        allowed = min(base + slope * distance, limit)
+        for s in range(sectors):
+            expected, rise, known = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+            if r > 0:
+                weights = np.float32(1e-6)
+                for ds in range(-1, 2):
+                    n = (s + ds) % sectors
+                    w = trust[r - 1, n] * np.float32(2.0 if ds == 0 else 1.0) + np.float32(1e-6)
+                    expected += w * (filled[r - 1, n] + trend[r - 1, n] * ring_m)
+                    rise += w * trend[r - 1, n]
+                    known += w * trust[r - 1, n]
+                    weights += w
+                expected, rise, known = expected / weights, rise / weights, known / weights
+            h = height[r, s]
+            tolerance = np.float32(0.1) + max_step * ring_m * (np.float32(2.0) - known)
+            good = abs(h) <= allowed and (r == 0 or abs(h - expected) <= tolerance)
+            accepted[r, s] = good
+            if good:
+                filled[r, s] = h
+                step = (h - filled[r - 1, s]) / ring_m if r > 0 else np.float32(0.0)
+                trend[r, s] = np.float32(0.5) * rise + np.float32(0.5) * step
+                trust[r, s] = 1.0
+            else:
+                filled[r, s] = expected
+                trend[r, s] = np.float32(0.8) * rise
+                trust[r, s] = np.float32(0.8) * known
+    _tangent_planes(filled, trust, ring_m, surface)
+
+
+@kernel
+def _tangent_planes(filled, trust, ring_m, surface):  # type: ignore[no-untyped-def]
+    """Plane through each cell's height with the slope of its 3 x 3 neighbourhood, weighted by trust."""
+    rings, sectors = filled.shape
+    for r in range(rings):
+        for s in range(sectors):
+            angle = (s + 0.5) * 2.0 * np.pi / sectors - np.pi
+            cx, cy = (r + 0.5) * ring_m * np.cos(angle), (r + 0.5) * ring_m * np.sin(angle)
+            sxx, sxy, syy, sxz, syz = 1e-3, 0.0, 1e-3, 0.0, 0.0
+            for dr in range(-1, 2):
+                n = r + dr
+                if n < 0 or n >= rings:
+                    continue
+                for ds in range(-1, 2):
+                    m = (s + ds) % sectors
+                    a = (m + 0.5) * 2.0 * np.pi / sectors - np.pi
+                    x = (n + 0.5) * ring_m * np.cos(a) - cx
+                    y = (n + 0.5) * ring_m * np.sin(a) - cy
+                    z = filled[n, m] - filled[r, s]
+                    w = trust[n, m] + 1e-3
+                    sxx += w * x * x
+                    sxy += w * x * y
+                    syy += w * y * y
+                    sxz += w * x * z
+                    syz += w * y * z
+            det = sxx * syy - sxy * sxy
+            gx, gy = (sxz * syy - syz * sxy) / det, (syz * sxx - sxz * sxy) / det
+            # a low percentile is the height of the cell's lower end: put the plane through its middle
+            along = abs(gx * np.cos(angle) + gy * np.sin(angle)) * ring_m * 0.45
+            surface[r, s, 0] = filled[r, s] + along - gx * cx - gy * cy
+            surface[r, s, 1] = gx
+            surface[r, s, 2] = gy

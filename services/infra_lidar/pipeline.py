@@ -1,0 +1,128 @@
+"""Raw points of a fixed 128-beam lidar to tracked road users: calibrate, ground, cluster, classify, track."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from common.geometry import invert, transform_points
+from common.messages import ObjectTracks
+from services.infra_lidar.blindness import BlindnessWatch, FrameQuality, Returns
+from services.infra_lidar.buffers import Buffers
+from services.infra_lidar.calibration import Calibration
+from services.infra_lidar.calibration_keeper import CalibrationKeeper
+from services.infra_lidar.classifier import LABELS, Classifier
+from services.infra_lidar.clustering import Clustering, ClusterPoints
+from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.features import compute_features
+from services.infra_lidar.ground import Ground, Levelled
+from services.infra_lidar.kernels_ground import beams_seen
+from services.infra_lidar.result import ClusterSet, FrameResult
+from services.infra_lidar.stopwatch import Stopwatch
+from services.infra_lidar.tracking import Detections, MultiObjectTracker
+
+
+class InfraLidarPipeline:
+    """One sensor's pipeline. Not for several threads at a time; make one per sensor.
+
+    ``calibration``: a stored one to begin with; without it the first frames decide.
+    """
+
+    def __init__(self, config: InfraLidarConfig, calibration: Calibration | None = None) -> None:
+        self.config = config
+        buffers = Buffers()
+        self.calibration = CalibrationKeeper(config.calibration, calibration)
+        self.ground = Ground(config.ground, buffers, config.blindness.near_m)
+        self.clustering = Clustering(config.clustering, config.ground.range_max_m, buffers)
+        self.classifier = Classifier(config.classifier)
+        self.tracker = MultiObjectTracker(config.tracking)
+        self._beams = np.zeros(256, bool)
+        self.blindness = BlindnessWatch(config.blindness)
+
+    def process(
+        self, stamp_ns: int, points: np.ndarray, quality: FrameQuality | None = None, received_ns: int = 0
+    ) -> FrameResult:
+        """One frame.
+
+        stamp_ns: UTC nanoseconds of the measurement. points: (N, 3+) float32 metres in the sensor frame, further
+        columns intensity and ring; points closer than half a metre or not finite are no returns. quality: what the
+        source knows about losses.
+
+        Raises:
+            ValueError: points is not an (N, 3+) array of numbers.
+        """
+        points = _checked(points)
+        watch = Stopwatch()
+
+        # 1. Where is the road? From the first frames; afterwards only looked after.
+        calibration = self.calibration.update(points)
+        watch.lap("calibrate")
+
+        # 2. Level the cloud and take the road away. Everything below is in the level frame.
+        frame = self.ground.remove(points, calibration.T_level_sensor)
+        self.calibration.look_after(stamp_ns, frame)
+        watch.lap("ground")
+
+        # 3. Connected components of what is left, seen from above.
+        found = self.clustering.cluster(frame)
+        watch.lap("cluster")
+
+        # 4. What is it? Features and forest.
+        clusters = self._classify(found)
+        watch.lap("classify")
+
+        # 5. Who is it, and where does it go? In the map frame.
+        T_map_level = self._map_from_level(calibration)
+        tracks = self.tracker.update(stamp_ns, _detections(clusters, T_map_level))
+        users = [track for track in tracks if track.label != "background"]
+        watch.lap("track")
+
+        # 6. Can the sensor see at all?
+        total_ms = sum(watch.stage_ms.values())
+        seen = self._returns(points, frame)
+        state, reason = self.blindness.judge(seen, quality, total_ms, self.calibration.complaint)
+        message = ObjectTracks(
+            stamp_ns=stamp_ns, frame_id=self.config.frame_id, received_ns=received_ns, state=state, reason=reason,
+            stage_ms=watch.stage_ms, tracks=users, points_in=len(points), clusters=len(clusters),
+        )  # fmt: skip
+        return FrameResult(
+            stamp_ns=stamp_ns, points=points, ground=frame.ground, cluster_id=found.cluster_id,
+            background=np.zeros(len(points), bool), clusters=clusters, tracks=message, calibration=calibration,
+            T_map_level=T_map_level, stage_ms=watch.stage_ms,
+        )  # fmt: skip
+
+    def _classify(self, found: ClusterPoints) -> ClusterSet:
+        road_z_m = self.ground.road_height(found.box[:, 0], found.box[:, 1])
+        features = compute_features(found.points, found.offsets, road_z_m, self.classifier.feature_names)
+        index, confidence, probabilities = self.classifier.classify(features)
+        return ClusterSet(
+            labels=[LABELS[i] for i in index], confidences=confidence, probabilities=probabilities,
+            boxes=found.box[:, :7], features=features, counts=found.counts, ground_z_m=road_z_m,
+        )  # fmt: skip
+
+    def _map_from_level(self, calibration: Calibration) -> np.ndarray:
+        """Identity without a surveyed pose: then the map is the road plane at the pole's foot."""
+        if not self.config.T_map_sensor:
+            return np.eye(4)
+        return np.reshape(self.config.T_map_sensor, (4, 4)) @ invert(calibration.T_level_sensor)
+
+    def _returns(self, points: np.ndarray, frame: Levelled) -> Returns:
+        beams = beams_seen(points[:, 4], self._beams) if points.shape[1] > 4 else 0
+        return Returns(len(points), frame.returns, frame.near, int(beams), self.ground.sectors_seen)
+
+
+def _checked(points: np.ndarray) -> np.ndarray:
+    points = np.asarray(points)
+    if points.ndim != 2 or points.shape[1] < 3 or points.dtype.kind not in "fiu":
+        raise ValueError(f"points: expected an (N, 3+) array of numbers, got {points.dtype} {points.shape}")
+    return np.ascontiguousarray(points, dtype=np.float32)
+
+
+def _detections(clusters: ClusterSet, T_map_level: np.ndarray) -> Detections:
+    """All clusters in the map frame: background keeps tracks alive that the forest gave up for a moment."""
+    turn = np.arctan2(T_map_level[1, 0], T_map_level[0, 0])
+    boxes = clusters.boxes.astype(np.float64)
+    return Detections(
+        position_m=transform_points(T_map_level, boxes[:, :3]), size_m=boxes[:, 3:6], yaw_rad=boxes[:, 6] + turn,
+        labels=clusters.labels, confidence=clusters.confidences, points=clusters.counts,
+        probabilities=clusters.probabilities,
+    )  # fmt: skip
