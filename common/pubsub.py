@@ -93,6 +93,7 @@ class Latest(Generic[M]):
         self._wake = wake
         self._lock = threading.Lock()
         self._newest: dict[str, tuple[zenoh.Sample, float, int]] = {}
+        self.refused: dict[str, str] = {}  # by key: what was wrong with what the last ``take`` refused
         ring = _RING_FOR_WILDCARD if "*" in key_expr else 1
         self._subscriber = session.declare_subscriber(key_expr, zenoh.handlers.RingChannel(ring))
         self._thread = threading.Thread(target=self._receive, name=f"latest {topic.name}", daemon=True)
@@ -102,12 +103,14 @@ class Latest(Generic[M]):
         """What has arrived since the last call, at most one message per key; undecodable ones are counted."""
         with self._lock:
             newest, self._newest = self._newest, {}
+        self.refused = {}
         taken: list[Received[M]] = []
         for key, (sample, arrived_s, arrived_ns) in newest.items():
             try:
                 message = decode(sample.payload.to_bytes(), self._type, self._topic.max_bytes)
             except DecodeError as error:
                 self._report.bad_input(f"undecodable {self._topic.name}: {str(error)[:60]}")
+                self.refused[key] = str(error)
                 continue
             taken.append(Received(key, message, arrived_s, arrived_ns))
         return taken

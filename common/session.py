@@ -93,7 +93,7 @@ def open_session(config: ZenohConfig, *, give_up_after_s: float | None = None) -
         except zenoh.ZError as error:
             if config.mode != "client":
                 raise ConfigError(f"[zenoh] cannot open a {config.mode} session: {plain(error)}") from None
-            if waited_s == 0.0:
+            if waited_s == 0.0 and give_up_after_s is None:
                 log.info("waiting for a router at %s", ", ".join(config.connect) or "(no endpoint)")
             waited_s += OPEN_ATTEMPT_MS / 1000
             if give_up_after_s is not None and waited_s >= give_up_after_s:

@@ -67,6 +67,11 @@ class Report:
         with self._lock:
             self._dropped += count
 
+    def stages(self, stage_ms: dict[str, float]) -> None:
+        """Timings of a service whose messages carry none of their own."""
+        with self._lock:
+            self._stage_ms = stage_ms
+
     def published(self, message: object, *, primary: bool) -> None:
         """Called by the publisher after each put; ``primary`` marks the topic that others decide on."""
         now_s = monotonic_s()

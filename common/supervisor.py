@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import ctypes
 import logging
+import shutil
 import signal
 import sys
 from collections.abc import Callable
@@ -80,6 +81,10 @@ class Supervisor:
     async def _run_once(self, child: Child, index: int) -> float:
         """Start, forward the output, wait; returns how long it lived in seconds."""
         loop = asyncio.get_running_loop()
+        if shutil.which(child.command[0]) is None:
+            self._say(child, index, f"{child.command[0]} is not installed here; is this host's extra installed?")
+            child.exit_code = EXIT_WRONG_CONFIG
+            return 0.0
         process = await asyncio.create_subprocess_exec(
             *child.command,
             stdin=asyncio.subprocess.DEVNULL,

@@ -133,7 +133,7 @@ def _table(targets: tuple[Target, ...] | list[Target]) -> np.ndarray:
 
 
 def _beat(echoes: np.ndarray, w: Waveform) -> np.ndarray:
-    """(rx, chirp, sample) float64 beat signal in ADC steps: a sum of separable phasors, so one matrix product."""
+    """(rx, chirp, sample) float32 beat signal in ADC steps: a sum of separable phasors, so one matrix product."""
     range_m, velocity, azimuth, elevation, strength = echoes.T
     beat_hz = 2.0 * w.slope_hz_per_s * range_m / C_MPS + 2.0 * velocity * w.start_frequency_hz / C_MPS
     high_pass = beat_hz / np.hypot(beat_hz, w.hp_cutoff_hz)
@@ -144,10 +144,12 @@ def _beat(echoes: np.ndarray, w: Waveform) -> np.ndarray:
     turn = 2.0 * np.pi * RX_SPACING_M / w.wavelength_m
     lag = {1: 0.0 * azimuth, 3: turn * np.sin(azimuth) * np.cos(elevation)}
     lag[2] = lag[3] - turn * np.sin(elevation)
-    per_rx = np.stack([amplitude * np.exp(1j * (slow + lag[rx])) for rx in w.rx])
-    fast = np.exp(2j * np.pi * beat_hz[:, None] * np.arange(w.samples) / w.sample_rate_hz)  # (target, sample)
-    product = per_rx.reshape(-1, len(echoes)) @ fast
-    return product.real.reshape(len(w.rx), w.chirps, w.samples)
+    chirp_phase = np.stack([slow + lag[rx] for rx in w.rx]).reshape(-1, len(echoes))  # (rx * chirp, target)
+    sample_phase = 2.0 * np.pi * beat_hz[:, None] * np.arange(w.samples) / w.sample_rate_hz  # (target, sample)
+    # cos(a + b) = cos a cos b - sin a sin b
+    left = np.hstack([amplitude * np.cos(chirp_phase), -amplitude * np.sin(chirp_phase)]).astype(np.float32)
+    right = np.vstack([np.cos(sample_phase), np.sin(sample_phase)]).astype(np.float32)
+    return (left @ right).reshape(len(w.rx), w.chirps, w.samples)
 
 
 def _digitise(signal: np.ndarray, noise_lsb: float, rng: np.random.Generator) -> np.ndarray:

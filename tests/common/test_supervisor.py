@@ -77,6 +77,13 @@ def test_a_wrong_config_stops_everything_with_its_exit_code() -> None:
     assert any("radar.toml: bad" in line for line in lines)
 
 
+def test_a_command_that_is_not_installed_is_told_and_stops_everything() -> None:
+    lines: list[str] = []
+    supervisor = Supervisor([python("other", SLEEPER), Child("gone", ["/no/such/spotter-radar"])], write=lines.append)
+    assert asyncio.run(supervisor.run()) == 2
+    assert any("/no/such/spotter-radar is not installed here" in line for line in lines)
+
+
 def test_a_child_that_ends_by_itself_is_not_started_again() -> None:
     child = python("short", "print('done')")
     assert asyncio.run(Supervisor([child], write=lambda _: None).run()) == 0
