@@ -15,6 +15,9 @@ import scipy.ndimage
 
 from services.radar_pi.cfar_design import ca_scale, os_mean_ratio, os_scale
 from services.radar_pi.config import CfarConfig
+from services.radar_pi.noise import RowNoise
+
+MIN_TRAINING = 0.1  # share of the training cells that has to be left
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,10 @@ class Hits:
     row: np.ndarray  # range
     column: np.ndarray  # Doppler
     noise: np.ndarray  # estimated mean noise power of the cell
+
+    def shifted(self, rows: int) -> Hits:
+        """The same cells in a map that has so many more rows before the first."""
+        return Hits(self.row + rows, self.column, self.noise)
 
 
 class Zone:
@@ -56,20 +63,38 @@ class Zone:
 
 
 class CellAveraging:
-    """Noise = the mean of the training cells."""
+    """Noise = the mean of the training cells, without those that are no noise.
+
+    Excision (Goldman and Bar-David 1988): a body spreads over many cells and would hide itself, so training cells far
+    above the level of their range row are left out. The row's level is a low quantile over Doppler, which a body does
+    not reach. In white noise next to nothing is left out.
+    """
 
     def __init__(self, config: CfarConfig, rows: int, columns: int, looks: int) -> None:
         self._zone = Zone(config, rows, columns)
-        count = self._zone.sums(np.ones((rows, columns), np.float32))
-        scale = _per_count(count, lambda n: ca_scale(config.p_fa, n, looks)) if config.p_fa else None
-        self._per_cell = (1.0 / count).astype(np.float32)
-        self._scale = np.float32(10 ** (config.threshold_db / 10)) if scale is None else scale
+        self._count = self._zone.sums(np.ones((rows, columns), np.float32))
+        self._scale = np.full((rows, columns), 10 ** (config.threshold_db / 10), np.float32)
+        if config.p_fa:
+            self._scale = _per_count(self._count, lambda n: ca_scale(config.p_fa, n, looks))
+        self._row_noise = RowNoise(columns, looks)
+        self._excise = np.float32(10 ** (config.excise_db / 10)) if config.excise_db else None
 
     def detect(self, power: np.ndarray) -> Hits:
         """Cells of the (R, D) float32 power map that exceed scale times their noise."""
-        noise = self._zone.sums(power) * self._per_cell
+        noise = self._noise(power)
         row, column = np.nonzero(power > self._scale * noise)
         return Hits(row, column, noise[row, column])
+
+    def _noise(self, power: np.ndarray) -> np.ndarray:
+        if self._excise is None:
+            return self._zone.sums(power) / self._count
+        limit = self._excise * self._row_noise.estimate(power)
+        left = power <= limit
+        if left.all():
+            return self._zone.sums(power) / self._count
+        count = self._zone.sums(left.astype(np.float32))
+        mean = self._zone.sums(np.where(left, power, np.float32(0.0))) / np.maximum(count, 1.0)
+        return np.where(count > MIN_TRAINING * self._count, mean, limit)
 
 
 class OrderedStatistic:

@@ -86,6 +86,7 @@ class CfarConfig(Section, frozen=True, kw_only=True):
     guard_doppler: Annotated[int, Meta(ge=0, le=16)] = 3
     train_range: Annotated[int, Meta(ge=1, le=32)] = 6
     train_doppler: Annotated[int, Meta(ge=0, le=32)] = 4
+    excise_db: NotNegative = 8.0  # ca: training cells so far above their range row's level are no noise; 0 = off
     os_fraction: Probability = 0.75  # rank of the ordered statistic among the training cells
 
 
@@ -95,6 +96,10 @@ class DetectionConfig(Section, frozen=True, kw_only=True):
     body_range_m: Positive = 0.45  # a body spreads this far around its strongest cell
     body_velocity_mps: Positive = 2.2  # limbs swing this much faster or slower than the trunk
     body_azimuth_rad: Positive = 0.5
+    moving_mps: Positive = 0.15  # slower peaks stand and never take a moving one
+    vehicle_length_m: NotNegative = 3.0  # one behind the other, equally fast, in one direction: one vehicle
+    vehicle_velocity_mps: Positive = 0.25
+    vehicle_azimuth_rad: Positive = 0.2
     sidelobe_db: Positive = 40.0  # weaker by this in the row or column of a stronger cell: its sidelobe
     max_detections: Annotated[int, Meta(ge=1, le=500)] = 32  # the strongest are kept
 

@@ -19,6 +19,7 @@ from services.radar_pi.clutter import Clutter
 from services.radar_pi.config import RadarConfig
 from services.radar_pi.detection import Detection, find_peaks, group
 from services.radar_pi.health import HealthMonitor, saturated_fraction
+from services.radar_pi.noise import RowNoise, noise_floor_db
 from services.radar_pi.spectrum import RangeDoppler, mean_power
 from services.radar_pi.tracking import Track, Tracker
 
@@ -37,6 +38,7 @@ class RadarPipeline:
         self.transform = RangeDoppler(config.waveform, processing.window, axes.far_bin)
         self.clutter = Clutter(processing.mti_memory, processing.settling_frames, subtract=processing.mti)
         self.cfar = build_cfar(config.cfar, axes.far_bin - axes.near_bin, config.waveform.chirps, len(receivers))
+        self.row_noise = RowNoise(config.waveform.chirps, len(receivers))
         self.azimuth = PairAzimuth(config.azimuth, receivers, axes.wavelength_m)
         self.tracker = Tracker(config.tracking, config.detection, axes.v_max_mps)
         self.health = HealthMonitor(config.health)
@@ -73,14 +75,14 @@ class RadarPipeline:
         power = mean_power(spectrum)
         transformed = perf_counter()
         # 4. cells above the noise around them, grouped to bodies with range, velocity and azimuth
-        detections = self._detect(power[self.axes.near_bin :], spectrum)
+        detections = self._detect(power, spectrum)
         detected = perf_counter()
         # 5. tracks over time
         tracks = self.tracker.update(stamp_ns, detections)
         # 6. can the radar see at all?
-        noise_floor_db = noise_power_db(power[self.axes.near_bin :], len(frame))
+        floor_db = noise_floor_db(self.row_noise.estimate(power[self.axes.near_bin :]))
         health = self.health.judge(
-            self.clutter.frames_to_settle, saturated_fraction(frame), noise_floor_db, self._leakage_db()
+            self.clutter.frames_to_settle, saturated_fraction(frame), floor_db, self._leakage_db()
         )
         # 7. what each track means
         reports = [self._report(track, stamp_ns, ego_speed_mps) for track in tracks]
@@ -99,7 +101,7 @@ class RadarPipeline:
             tracks=reports,
             level=worst(*(report.level for report in reports)),
             settled=self.clutter.frames_to_settle == 0,
-            noise_floor_db=noise_floor_db,
+            noise_floor_db=floor_db,
             static_level=static_level(standing, self.config.alarm),
             v_max_mps=self.axes.v_max_mps,
             range_min_m=max(0.0, self.axes.range_min_m),
@@ -139,13 +141,13 @@ class RadarPipeline:
         self._stamp_ns = stamp_ns
 
     def _detect(self, power: np.ndarray, spectrum: np.ndarray) -> list[Detection]:
-        """CFAR, peaks, physical values, bodies. ``power`` starts at the nearest bin that is looked at."""
+        """CFAR, peaks, physical values, bodies."""
         axes, config = self.axes, self.config.detection
-        hits = self.cfar.detect(power)
-        peaks = find_peaks(power, hits, 4 * config.max_detections)
+        hits = self.cfar.detect(power[axes.near_bin :]).shifted(axes.near_bin)
+        peaks = find_peaks(power, hits, axes.near_bin, 4 * config.max_detections)
         velocity_mps = (peaks.column_exact - len(axes.velocity_mps) // 2) * axes.velocity_bin_mps
-        range_m = axes.to_range_m(peaks.row_exact + axes.near_bin, velocity_mps)
-        azimuth_rad = self.azimuth.measure(spectrum, peaks.row + axes.near_bin, peaks.column)
+        range_m = axes.to_range_m(peaks.row_exact, velocity_mps)
+        azimuth_rad = self.azimuth.measure(spectrum, peaks.row, peaks.column)
         bodies = group(peaks, range_m, velocity_mps, azimuth_rad, axes.v_max_mps, config)
         limit_rad = self.config.azimuth.field_of_view_rad
         return [body for body in bodies if body.azimuth_rad is None or abs(body.azimuth_rad) <= limit_rad]
@@ -174,9 +176,3 @@ class RadarPipeline:
             coasting=track.misses > 0,
             approached_s_ago=ago_s,
         )
-
-
-def noise_power_db(power: np.ndarray, looks: int) -> float:
-    """Noise per ADC sample in dB over one squared step: the median cell, corrected to the mean of Gamma(looks)."""
-    median_over_mean = 1 - 1 / (9 * looks)  # Wilson-Hilferty, cubed
-    return 10 * float(np.log10(max(float(np.median(power)), 1e-12) / median_over_mean**3))

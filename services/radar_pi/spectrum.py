@@ -51,8 +51,9 @@ class RangeDoppler:
 
 def mean_power(spectrum: np.ndarray) -> np.ndarray:
     """Non-coherent integration: the mean of |.|^2 over the receivers, (rx, doppler, bin) -> (bin, doppler) float32."""
-    parts = spectrum.view(np.float32).reshape(*spectrum.shape, 2)
-    power = np.einsum("adrk,adrk->dr", parts, parts)
+    parts = spectrum.view(np.float32)
+    squares = (parts * parts).sum(axis=0)
+    power = squares[:, ::2] + squares[:, 1::2]
     power *= 1.0 / len(spectrum)
     return np.ascontiguousarray(power.T)
 
