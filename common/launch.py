@@ -14,7 +14,7 @@ import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, NoReturn, TypeVar
 
 import msgspec
 import typer
@@ -29,11 +29,8 @@ SetOption = Annotated[list[str] | None, typer.Option("--set", help="section.key=
 SourceOption = Annotated[str | None, typer.Option("--source", help="Where the data comes from, e.g. sim:crossing.")]
 
 
-def service_app(name: str, config_type: type[C], run: Callable[[C], bool | None], doc: str | None) -> typer.Typer:
-    """The command line of one service. ``run(config)`` works until it is interrupted.
-
-    ``run`` returns ``service.closed_cleanly``; False ends the process hard, because a thread is stuck in the network.
-    """
+def service_app(name: str, config_type: type[C], run: Callable[[C], object], doc: str | None) -> typer.Typer:
+    """The command line of one service. ``run(config)`` works until it is interrupted."""
     app = typer.Typer(
         name=f"spotter-{name.replace('_', '-')}",
         help=(doc or "").strip(),
@@ -78,20 +75,29 @@ def load_config(config_type: type[C], path: Path | None, overrides: list[str] | 
         raise SystemExit(2) from None
 
 
-def run_until_stopped(run: Callable[[], bool | None]) -> None:
-    """Run with SIGTERM equal to Ctrl-C; both end with exit code 0. A wrong configuration ends with 2."""
+def run_until_stopped(run: Callable[[], object]) -> NoReturn:
+    """Run with SIGTERM equal to Ctrl-C, then end the process: exit code 0, 1 after a failure, 2 for a wrong config.
+
+    The end is ``os._exit``: a Zenoh thread that is stuck in the network would otherwise keep a finished process, and
+    with it its liveliness token, alive. Whatever has to be closed is closed by ``with`` before that.
+    """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    clean: bool | None = True
+    code = 0
     try:
-        clean = run()
+        run()
     except KeyboardInterrupt:
-        clean = True
+        code = 0
     except ConfigError as error:
         sys.stderr.write(f"spotter: {error}\n")
-        raise SystemExit(2) from None
-    if clean is False:
-        sys.stderr.flush()
-        os._exit(0)
+        code = 2
+    except SystemExit as ending:
+        code = ending.code if isinstance(ending.code, int) else 1
+    except BaseException:
+        logging.getLogger("service").critical("unexpected failure; the process ends", exc_info=True)
+        code = 1
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 def setup_logging(name: str) -> None:

@@ -1,0 +1,134 @@
+"""The whole system on this machine: what it says, what happens when a process is killed, and that nothing is left."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from common.messages import Message, SystemHealth, Verdict
+from common.topics import SERVICES
+
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(240)]
+SENSOR_SERVICES = ("radar", "lidar", "camera", "infra_lidar")
+
+
+def test_json_report_of_a_headless_demo(demo_json: dict[str, Any]) -> None:
+    assert set(demo_json) == {"services", "verdict", "health", "latency_ms"}
+    assert set(demo_json["services"]) == {row.name for row in SERVICES}
+    for name, row in demo_json["services"].items():
+        assert row["messages"] > 0, name
+        assert row["bad_input"] == 0, name
+    for name in ("radar", "lidar", "infra_lidar"):
+        assert demo_json["services"][name]["rate_hz"] > 7.0, demo_json["services"]
+    assert demo_json["verdict"]["rate_hz"] >= 20.0
+    assert set(demo_json["verdict"]["levels_seen"]) == {"SAFE", "CAUTION", "IMMINENT"}
+    assert 0 < demo_json["latency_ms"]["p50"] <= demo_json["latency_ms"]["p99"]
+
+
+def test_the_level_rises_through_caution_and_comes_back(demo_json: dict[str, Any]) -> None:
+    levels = [level for _, level, _ in demo_json["verdict"]["history"]]
+    changes = [level for i, level in enumerate(levels) if i == 0 or level != levels[i - 1]]
+    rising = [changes[i : i + 3] for i in range(len(changes))]
+    assert ["SAFE", "CAUTION", "IMMINENT"] in rising, changes
+
+
+@pytest.mark.parametrize("service", SENSOR_SERVICES)
+def test_a_killed_sensor_is_disconnected_at_once_and_comes_back(
+    running_demo: Any, service: str, is_all_online: Callable[[Message], bool]
+) -> None:
+    before = running_demo.instances()
+    killed_s = time.monotonic()
+    os.kill(running_demo.pid_of(service), signal.SIGKILL)
+    gone_s, _ = running_demo.recorder.wait(lambda message: sensor_state(message, service) == "disconnected", killed_s)
+    assert gone_s - killed_s < 1.0  # measured about 0.02 s; the target of 0.2 s is a benchmark's, not this test's
+    back_s, _ = running_demo.recorder.wait(lambda message: sensor_state(message, service) == "online", gone_s, 60.0)
+    running_demo.recorder.wait(is_all_online, back_s, 60.0)
+    others = {instance for instance in before if instance[1] != service}
+    assert others <= running_demo.instances(), "somebody else was started again"
+
+
+def sensor_state(message: Message, service: str) -> str | None:
+    if not isinstance(message, SystemHealth):
+        return None
+    if service in message.sensors:
+        return message.sensors[service].state
+    found = [row for key, row in message.services.items() if key.endswith(f"/{service}")]
+    return ("online" if found[0].alive and found[0].state == "online" else "disconnected") if found else None
+
+
+def test_a_killed_fusion_means_no_verdict_until_it_is_back(running_demo: Any) -> None:
+    pid = running_demo.pid_of("fusion")
+    os.kill(pid, signal.SIGSTOP)  # hold it, so that the gap is ours to measure
+    command = [str(Path(sys.executable).with_name("spotter")), "health", "--connect", running_demo.endpoint]
+    told = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert told.returncode == 1
+    assert "NO VERDICT" in told.stdout
+    killed_s = time.monotonic()
+    os.kill(pid, signal.SIGKILL)
+    running_demo.recorder.wait(lambda message: isinstance(message, Verdict), killed_s, 30.0)
+
+
+def test_a_killed_dashboard_is_missed_by_nobody(running_demo: Any, is_all_online: Callable[[Message], bool]) -> None:
+    killed_s = time.monotonic()
+    os.kill(running_demo.pid_of("dashboard"), signal.SIGKILL)
+    running_demo.recorder.wait(is_all_online, killed_s, 10.0)
+    deadline_s = time.monotonic() + 30.0
+    while True:
+        try:
+            page = urllib.request.urlopen(f"http://127.0.0.1:{running_demo.port}/", timeout=2).read()
+            break
+        except OSError:
+            assert time.monotonic() < deadline_s
+    assert b"NO VERDICT" in page  # what it says until it knows better
+
+
+def test_a_laptop_needs_only_zenoh_and_msgpack(running_demo: Any, tmp_path: Path) -> None:
+    environment = tmp_path / "laptop"
+    uv = str(Path(sys.executable).with_name("uv"))
+    constraints = Path(__file__).parents[2] / "constraints.txt"
+    subprocess.run([uv, "venv", "-q", "--python", sys.executable, environment], check=True)
+    install = [uv, "pip", "install", "-q", "--python", environment / "bin" / "python", "-c", constraints]
+    subprocess.run([*install, "eclipse-zenoh", "msgpack"], check=True)
+    script = f"""
+import msgpack, zenoh
+session = zenoh.open(zenoh.Config.from_json5('{{mode: "client", namespace: "spotter", connect: {{endpoints: ["{running_demo.endpoint}"]}}}}'))
+for sample in (subscriber := session.declare_subscriber("jetson0/fusion/verdict")):
+    verdict = msgpack.unpackb(sample.payload.to_bytes())
+    print(verdict["level"], verdict["because"]); break
+session.close()
+"""
+    told = subprocess.run(
+        [environment / "bin" / "python", "-c", script], capture_output=True, text=True, timeout=30, check=True
+    )
+    assert told.stdout.split()[0] in {"SAFE", "CAUTION", "IMMINENT"}
+
+
+def test_ctrl_c_leaves_no_process_behind(tmp_path: Path, module_ports: Callable[[], int]) -> None:
+    port, endpoint = module_ports(), f"tcp/127.0.0.1:{module_ports()}"
+    spotter = str(Path(sys.executable).with_name("spotter"))
+    log = tmp_path / "log"
+    process = subprocess.Popen(
+        [spotter, "demo", "--listen", endpoint, "--port", str(port)], stderr=log.open("wb"), start_new_session=True
+    )
+    root = psutil.Process(process.pid)
+    deadline_s = time.monotonic() + 100
+    while "Spotter is up" not in log.read_text():
+        assert process.poll() is None, log.read_text()
+        assert time.monotonic() < deadline_s, log.read_text()
+    family = root.children(recursive=True)
+    assert len(family) >= len(SERVICES) + 1
+    process.send_signal(signal.SIGINT)
+    assert process.wait(15) == 0
+    _, left = psutil.wait_procs(family, timeout=2)
+    assert not left
+    assert not [c for c in psutil.net_connections("tcp") if c.laddr and c.laddr.port == port and c.status == "LISTEN"]
