@@ -104,7 +104,7 @@ def scatterers(world: WorldState) -> np.ndarray:
     T_map_radar = world.T_map_vehicle @ T_vehicle_radar
     origin = T_map_radar[:3, 3]
     solids = world.solids_near(origin, _WITHIN_M)
-    point = transform_points(invert(T_map_radar), _facing_point(solids, origin))
+    point = transform_points(invert(T_map_radar), facing_point(solids, origin))
     range_m = np.linalg.norm(point, axis=1)
     velocity = np.sum(solids.velocity_mps @ T_map_radar[:3, :3] * point, axis=1) / range_m
     azimuth, elevation = np.arctan2(point[:, 1], point[:, 0]), np.arcsin(point[:, 2] / range_m)
@@ -116,7 +116,7 @@ def scatterers(world: WorldState) -> np.ndarray:
     return np.column_stack([range_m, velocity, azimuth, elevation, amplitude])[seen]
 
 
-def _facing_point(solids: Solids, origin_m: np.ndarray) -> np.ndarray:
+def facing_point(solids: Solids, origin_m: np.ndarray) -> np.ndarray:
     """(P, 3) a point on each solid's surface that faces the radar: where it mainly reflects."""
     u = np.einsum("pij,pj->pi", solids.to_unit, origin_m - solids.centre_m)
     ball = u / np.maximum(np.linalg.norm(u, axis=1), 1.0)[:, None]
