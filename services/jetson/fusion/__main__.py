@@ -20,6 +20,7 @@ def run(config: FusionConfig) -> bool:
             publish_verdict(verdict)
             if health is not None:
                 publish_health(health)
+                service.report.stages(pipeline.latency.summary())
     return service.closed_cleanly
 
 

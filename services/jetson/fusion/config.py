@@ -54,7 +54,7 @@ class HealthConfig(Section, frozen=True, kw_only=True):
 class ClocksConfig(Section, frozen=True, kw_only=True):
     """Offset between hosts, measured on the ``clock`` queryable."""
 
-    period_s: Annotated[float, Meta(ge=0.1, le=60.0)] = 1.0
+    period_s: Annotated[float, Meta(ge=0.1, le=60.0)] = 0.5
     max_bound_ms: Milliseconds = 50.0  # a wider bound is no measurement
     max_age_s: Seconds = 10.0  # without a new measurement the bound is lost
     drift_ppm: Annotated[float, Meta(ge=0.0, le=1000.0)] = 50.0  # how fast two quartz clocks may part

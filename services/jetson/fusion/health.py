@@ -55,7 +55,6 @@ class SensorWatch:
         self.name, self.host, self.service = name, host, topic.service
         self.limit_s: float = topic.age_limit_s
         self.frame: Frame | None = None
-        self.rejected: dict[str, int] = {}
         self._config = config
         self._arrivals_s: deque[float] = deque()
         self._good_frames = 0
@@ -70,17 +69,19 @@ class SensorWatch:
         """It has delivered at least one message since we started."""
         return self.frame is not None
 
-    def take(self, received: Received[Message], around: Surroundings) -> None:
-        """Accept a message unless it is a repetition or older than what we have."""
+    def take(self, received: Received[Message], around: Surroundings) -> str:
+        """Accept a message; or say why not: a repetition, or older than what we have."""
         message = received.message
         stamp_age_s = (received.arrived_ns - message.stamp_ns) * 1e-9 + around.clock_offset_s
-        if self._is_out_of_order(received):
-            return
+        refused = self._out_of_order(received)
+        if refused:
+            return refused
         self.frame = Frame(received, read(message), stamp_age_s)
         self._arrivals_s.append(received.arrived_s)
         while self._arrivals_s and received.arrived_s - self._arrivals_s[0] > self._config.rate_window_s:
             self._arrivals_s.popleft()
         self._good_frames = 0 if self._data_fault(received.arrived_s, around) else self._good_frames + 1
+        return ""
 
     def judge(self, now_s: float, now_ns: int, around: Surroundings) -> tuple[SensorInput, SensorHealth]:
         """The sensor's state now, for the verdict and for people."""
@@ -99,18 +100,16 @@ class SensorWatch:
             return None
         return max(0.0, now_s - self.frame.received.arrived_s) + max(0.0, self.frame.stamp_age_s)
 
-    def _is_out_of_order(self, received: Received[Message]) -> bool:
-        """Repeated or overtaken messages are dropped, but a new order that persists is accepted."""
+    def _out_of_order(self, received: Received[Message]) -> str:
+        """Why a repeated or overtaken message is dropped; a new order that persists is accepted."""
         if self.frame is None:
-            return False
+            return ""
         last, new = self.frame.received, received.message
         if new.seq > last.message.seq or new.stamp_ns > last.message.stamp_ns:
-            return False
+            return ""
         if received.arrived_s - last.arrived_s > self.limit_s:
-            return False  # nothing newer came for so long: this is the new beginning
-        what = "repeated" if new.stamp_ns == last.message.stamp_ns else "out of order"
-        self.rejected[what] = self.rejected.get(what, 0) + 1
-        return True
+            return ""  # nothing newer came for so long: this is the new beginning
+        return "repeated" if new.stamp_ns == last.message.stamp_ns else "out of order"
 
     def _link_fault(self, now_s: float, around: Surroundings) -> Fault | None:
         """The links before the data, first broken one first: our own, the host, the process, the device."""

@@ -18,6 +18,6 @@ class Observation:
     now_ns: int  # UTC
     received: tuple[Received[Any], ...] = ()
     present: frozenset[Instance] = frozenset()
-    isolated: bool = False
+    isolated: bool = False  # our own session has no link
     clock_samples: tuple[ClockSample, ...] = ()
-    undecodable: dict[str, str] = field(default_factory=dict)  # by topic: what was wrong with the last refused payload
+    refused: dict[str, str] = field(default_factory=dict)  # by key: why a payload that came now was refused

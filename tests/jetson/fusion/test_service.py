@@ -19,7 +19,8 @@ from common.runtime import Service
 from common.session import open_session
 from common.status import Report
 from services.jetson.fusion.config import FusionConfig
-from services.jetson.fusion.pipeline import SENSOR_TOPICS, FusionPipeline
+from services.jetson.fusion.inbox import SENSOR_TOPICS
+from services.jetson.fusion.pipeline import FusionPipeline
 from services.jetson.fusion.source import observe
 
 BUDGET_S = 20.0
