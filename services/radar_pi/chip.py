@@ -12,7 +12,8 @@ RESET_PULSE_S = 1e-3  # at least 100 ns each
 RESET_SETTLE_S = 10e-3
 SW_RESET_POLLS = 20
 HIGH_SPEED_FROM_HZ = 20_000_000  # above, MISO has to change on the rising edge
-_SELF_CLEARING = {Register.MAIN: 0x00000F}
+_SELF_CLEARING = {int(Register.MAIN): 0x00000F}
+_SILENCE = (0x000000, 0xFFFFFF)  # what an unconnected MISO reads
 
 
 class Cure(IntEnum):
@@ -77,10 +78,9 @@ class Chip:
         if status & reg.GSR0_ERRORS:
             self.refuse_errors(status, self.read(Register.FSTAT))
 
-    @staticmethod
-    def refuse_errors(gsr0: int, fstat: int) -> None:
+    def refuse_errors(self, gsr0: int, fstat: int) -> None:
         """Raise the fault that GSR0 and FSTAT tell of together, the worst first."""
-        if fstat in (0, 0xFFFFFF):
+        if fstat in _SILENCE and self.read(Register.CHIP_ID) in _SILENCE:
             raise RadarFault("no_reply", f"FSTAT reads 0x{fstat:06x}: nobody answers", Cure.HARDWARE_RESET)
         if gsr0 & Gsr0.CLOCK_ERROR or fstat & Fstat.CLOCK_ERROR:
             raise RadarFault("clock_error", "SPI clock error: wrong number of clocks", Cure.SOFTWARE_RESET)
@@ -107,8 +107,9 @@ class Chip:
         if found == CHIP_ID_BGT60TR13C:
             return
         expected = f"expected chip id 0x{CHIP_ID_BGT60TR13C:06x} (BGT60TR13C)"
-        silent = found in (0, 0xFFFFFF)
-        hint = "no chip answers: HAT seated, SPI enabled?" if silent else "another chip; this driver refuses it"
+        hint = (
+            "no chip answers: HAT seated, SPI enabled?" if found in _SILENCE else "another chip; this driver refuses it"
+        )
         raise ChipRefused("wrong_chip", f"{expected}, found 0x{found:06x}: {hint}", Cure.HARDWARE_RESET)
 
     def reset_software(self) -> None:
@@ -137,7 +138,6 @@ class Chip:
             self.write(address, value)
         for address, value in registers.items():
             found = self.read(address)
-            if (found ^ value) & ~_SELF_CLEARING.get(Register(address), 0):
-                name = Register(address).name
-                text = f"register {name} reads 0x{found:06x} after 0x{value:06x} was written"
+            if (found ^ value) & ~_SELF_CLEARING.get(address, 0):
+                text = f"register {reg.name_of(address)} reads 0x{found:06x} after 0x{value:06x} was written"
                 raise RadarFault("register_mismatch", text, Cure.HARDWARE_RESET)

@@ -17,6 +17,7 @@ from services.radar_pi.registers import WORD_BYTES
 HEADER_WORDS = 3
 COUNTER_SPAN = 1 << 12
 UNDERFLOW_SAMPLE = 0xFFF
+LFSR_START = 0x001
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,19 @@ def pack_frame(frame: np.ndarray, count: int, sensor_adc: int = 512, shape: int 
     header[:, 2] = samples << 12 | sensor_adc << 2 | shape
     head = np.stack((header >> 16, header >> 8 & 0xFF, header & 0xFF), axis=-1).astype(np.uint8)
     return np.concatenate((head, data), axis=1).reshape(chirps, -1)
+
+
+def lfsr_sequence(length: int, state: int = LFSR_START) -> np.ndarray:
+    """The chip's 12-bit test pattern (x^12 + x^11 + x^10 + x^4 + 1, period 4095): (length,) uint16.
+
+    Each next word is the last one shifted right with bit0 ^ bit1 ^ bit2 ^ bit8 on top.
+    """
+    words = np.empty(length, np.uint16)
+    for n in range(length):
+        words[n] = state
+        top = (state ^ state >> 1 ^ state >> 2 ^ state >> 8) & 1
+        state = state >> 1 | top << 11
+    return words
 
 
 class FrameAssembler:

@@ -228,6 +228,11 @@ class Fstat(IntFlag):
 FSTAT_ERRORS = Fstat.CLOCK_ERROR | Fstat.BURST_ERROR | Fstat.UNDERFLOW | Fstat.OVERFLOW
 
 
+def name_of(address: int) -> str:
+    """A register's name, or its address for those that this service never uses."""
+    return Register(address).name if address in list(Register) else f"0x{address:02X}"
+
+
 def read_command(address: int) -> bytes:
     """The four bytes that read a register."""
     return (address << 25).to_bytes(4, "big")

@@ -1,0 +1,106 @@
+"""The DreamHAT+ on a Raspberry Pi 5: spidev and gpiod behind the ``Link`` seam (extra ``radar-hw``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from services.radar_pi.config import SpiConfig
+
+_BUFFER_LIMIT = Path("/sys/module/spidev/parameters/bufsiz")
+_DEFAULT_BUFFER = 4096
+
+
+class HardwareError(OSError):
+    """A device or a library is missing; the text says what to do."""
+
+
+class SpiLink:
+    """SPI bus, reset line (active low) and interrupt line (rising edge)."""
+
+    def __init__(self, config: SpiConfig) -> None:
+        """Open bus and lines.
+
+        Raises:
+            HardwareError: library, device or permission missing.
+        """
+        self.max_bytes = _buffer_limit()
+        self._reset, self._irq = config.reset_gpio, config.irq_gpio
+        self._spi = _open_bus(config)
+        try:
+            self._gpiod, self._lines = _request_lines(config)
+        except HardwareError:
+            self._spi.close()
+            raise
+
+    def transfer(self, data: bytes) -> bytes:
+        return bytes(self._spi.xfer2(list(data)))
+
+    def set_reset(self, *, active: bool) -> None:
+        value = self._gpiod.line.Value
+        self._lines.set_value(self._reset, value.INACTIVE if active else value.ACTIVE)
+
+    def wait_irq(self, timeout_s: float) -> bool:
+        """A level that is already there counts; edges from before are thrown away."""
+        if self._is_high():
+            return True
+        while self._lines.wait_edge_events(timeout_s):
+            self._lines.read_edge_events()
+            if self._is_high():
+                return True
+            timeout_s = 0.0  # an edge of an earlier burst
+        return self._is_high()
+
+    def close(self) -> None:
+        self._lines.release()
+        self._spi.close()
+
+    def _is_high(self) -> bool:
+        return bool(self._lines.get_value(self._irq) == self._gpiod.line.Value.ACTIVE)
+
+
+def _open_bus(config: SpiConfig) -> Any:
+    try:
+        import spidev
+    except ImportError:
+        raise HardwareError("library spidev is missing: install the extra radar-hw") from None
+    bus = spidev.SpiDev()
+    try:
+        bus.open(config.bus, config.device)
+    except FileNotFoundError:
+        raise HardwareError(f"/dev/spidev{config.bus}.{config.device} is missing: dtparam=spi=on") from None
+    except PermissionError:
+        raise HardwareError(f"/dev/spidev{config.bus}.{config.device}: this user is not in group spi") from None
+    bus.mode = 0
+    bus.max_speed_hz = config.speed_hz
+    return bus
+
+
+def _request_lines(config: SpiConfig) -> tuple[Any, Any]:
+    try:
+        import gpiod
+        import gpiod.line
+    except ImportError:
+        raise HardwareError("library gpiod is missing: install the extra radar-hw") from None
+    line = gpiod.line
+    settings = {
+        config.reset_gpio: gpiod.LineSettings(direction=line.Direction.OUTPUT, output_value=line.Value.ACTIVE),
+        config.irq_gpio: gpiod.LineSettings(direction=line.Direction.INPUT, edge_detection=line.Edge.RISING),
+    }
+    try:
+        return gpiod, gpiod.request_lines(config.gpio_chip, consumer="spotter-radar", config=settings)
+    except FileNotFoundError:
+        raise HardwareError(f"{config.gpio_chip} is missing: see [spi] gpio_chip") from None
+    except PermissionError:
+        raise HardwareError(f"{config.gpio_chip}: this user is not in group gpio") from None
+    except OSError as error:
+        lines = f"GPIO {config.reset_gpio}, {config.irq_gpio} of {config.gpio_chip}"
+        raise HardwareError(f"{lines}: {error.strerror}; does another program hold them?") from None
+
+
+def _buffer_limit() -> int:
+    """Bytes that spidev moves in one transfer."""
+    try:
+        return int(_BUFFER_LIMIT.read_text())
+    except (OSError, ValueError):
+        return _DEFAULT_BUFFER
