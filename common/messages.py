@@ -175,6 +175,7 @@ class CameraDetection(msgspec.Struct, kw_only=True):
     in_zone: bool
     truncated: bool  # the box touches the picture's edge: the distance is "at most"
     distance_sigma_m: NotNegative = 0.0
+    nearest_m: NotNegative | None = None  # to the object's nearest side: what the level is judged by
 
 
 class CameraDetections(SensorMessage, kw_only=True):

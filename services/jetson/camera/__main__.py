@@ -1,0 +1,45 @@
+"""Camera: what is ahead, how far, and whether the camera can see.
+
+Publishes CameraDetections for every picture it has time for, and the picture itself while somebody listens.
+"""
+
+from __future__ import annotations
+
+from common.launch import service_app
+from common.runtime import Service
+from common.topics import CAMERA_DETECTIONS, CAMERA_IMAGE
+from services.jetson.camera import calibrate
+from services.jetson.camera.annotate import picture
+from services.jetson.camera.config import CameraConfig
+from services.jetson.camera.frames import NewestFrames, RateLimit
+from services.jetson.camera.pipeline import CameraPipeline
+from services.jetson.camera.source import calibrated, open_source
+
+
+def run(config: CameraConfig) -> bool:
+    config = calibrated(config)
+    pipeline = CameraPipeline(config)
+    with Service("camera", config) as service:
+        publish, publish_image = service.publisher(CAMERA_DETECTIONS), service.publisher(CAMERA_IMAGE)
+        due = RateLimit(config.image.rate_hz)
+        source, lossless = open_source(config, service.report)
+        with NewestFrames(source, service.report, lossless) as frames:
+            for frame in frames:
+                seen = pipeline.process(frame.stamp_ns, frame.image)
+                seen.received_ns = frame.received_ns
+                publish(seen)
+                if publish_image.wanted and due(frame.stamp_ns):
+                    publish_image(picture(frame.image, seen, config.zone, config.image))
+    return service.closed_cleanly
+
+
+app = service_app("camera", CameraConfig, run, __doc__)
+app.add_typer(calibrate.app)
+
+
+def main() -> None:
+    app()
+
+
+if __name__ == "__main__":
+    main()

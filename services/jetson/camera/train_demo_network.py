@@ -1,0 +1,321 @@
+# /// script
+# requires-python = ">=3.11"
+# dependencies = ["spotter[jetson]", "torch==2.13.0", "onnx>=1.19", "onnxscript>=0.5"]
+# [tool.uv.sources]
+# spotter = { path = "../../.." }
+# ///
+"""Train the tiny demo network on simulated pictures and write it as ONNX in the YOLOv8 output layout.
+
+    uv run --script services/jetson/camera/train_demo_network.py
+
+It knows the simulated world and nothing else; on real pictures use a real network. Seeded; a few minutes on two cores.
+torch is needed here only, never at run time. Anchor-free head after FCOS (Tian et al. 2019): a cell near the middle of
+a box predicts its four sides; its class score is trained to follow the overlap it reaches (VarifocalNet, Zhang et al.
+2021).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from common.sim import camera, crossing, scene
+from common.sim.bodies import DEFAULT_SIZE_M
+from common.sim.model import Player, Scenario
+from common.sim.motion import Pose
+from common.sim.solids import Solids, join
+from services.jetson.camera.detector import DEMO_MODEL
+from services.jetson.camera.letterbox import letterbox
+
+NAMES = ("person", "bicycle", "car", "bus", "truck")
+WIDTH_PX, HEIGHT_PX, STRIDE_PX = 320, 256, 16
+COLUMNS, ROWS = WIDTH_PX // STRIDE_PX, HEIGHT_PX // STRIDE_PX
+POSITIVE_VISIBLE, IGNORED_VISIBLE = 0.40, 0.10
+SEED = 20
+
+
+# --- pictures -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Moments:
+    """A motion that is somewhere else in every second: one scenario gives many different pictures."""
+
+    poses: tuple[Pose, ...]
+
+    def at(self, t_s: float) -> Pose:
+        return self.poses[int(t_s) % len(self.poses)]
+
+
+def training_set(scenarios: int, pictures: int, rng: np.random.Generator) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Inputs (N, 3, H, W) uint8 RGB and, per picture, boxes (M, 6): class, x1, y1, x2, y2 in input px, visible."""
+    inputs, labels = [], []
+    for number in range(scenarios):
+        scenario = random_scenario(f"training {number}", pictures, rng)
+        for second in range(pictures):
+            t_s = second + 0.5
+            blob, fit = letterbox(camera.image(scenario, t_s), WIDTH_PX, HEIGHT_PX)
+            found = [
+                (
+                    NAMES.index(box.label),
+                    *(np.array(box.box_xyxy_px) * fit.scale + [fit.left_px, fit.top_px] * 2),
+                    box.visible,
+                )
+                for box in camera.boxes(scenario, t_s)
+            ]
+            inputs.append((blob[0] * 255).round().astype(np.uint8))
+            labels.append(np.array(found, np.float32).reshape(-1, 6))
+    return np.stack(inputs), labels
+
+
+def random_scenario(name: str, seconds: int, rng: np.random.Generator) -> Scenario:
+    """The demonstration's yard or a random place, with up to six actors anywhere ahead, often none."""
+    place = crossing.yard_and_street() if rng.random() < 0.5 else random_place(rng)
+    cast = []
+    for slot in range(6):
+        kind = str(rng.choice(["pedestrian", "pedestrian", "car", "car", "cyclist", "bus", "truck"]))
+        poses = tuple(random_pose(kind, rng) for _ in range(seconds))
+        length_m, width_m, height_m = np.array(DEFAULT_SIZE_M[kind]) * rng.uniform(0.85, 1.15, 3)
+        size_m = (float(length_m), float(width_m), float(height_m))
+        if kind == "car" and rng.random() < 0.5:
+            size_m = crossing.SMALL_CAR_SIZE_M
+        cast.append(Player(int(rng.integers(0, 10_000)) * 6 + slot, kind, Moments(poses), size_m))
+    return Scenario(name, float(seconds), place, tuple(cast))
+
+
+def random_pose(kind: str, rng: np.random.Generator) -> Pose:
+    """In half of the moments behind the camera; else ahead, near ones more often, at any heading."""
+    if rng.random() < 0.55:
+        return Pose(-50.0, 0.0, 0.0)
+    nearest_m = {"pedestrian": 0.7, "cyclist": 1.3, "car": 1.7}.get(kind, 6.0)
+    x_m = nearest_m + 11.0 * rng.random() ** 1.7
+    y_m = x_m * rng.uniform(-0.75, 0.75)
+    yaw_rad = np.pi * rng.integers(0, 2) + rng.normal(0, 0.2) if rng.random() < 0.4 else rng.uniform(-np.pi, np.pi)
+    speed_mps = rng.uniform(0.0, 1.5)
+    return Pose(x_m, y_m, float(yaw_rad), speed_mps, 0.0, rng.uniform(0.0, 20.0))
+
+
+def random_place(rng: np.random.Generator) -> scene.Scene:
+    """Walls, posts, trees, bushes and house fronts where a place may have them: what is not to be detected."""
+    parts: list[Solids] = [scene.facade((rng.uniform(14, 30), -60.0), (rng.uniform(14, 30), 60.0), 9.0, rng)]
+    for _ in range(rng.integers(0, 5)):
+        x, y, long, thick = rng.uniform(2, 9), rng.uniform(-7, 7), rng.uniform(0.5, 6), rng.uniform(0.1, 0.5)
+        size = (long, thick) if rng.random() < 0.5 else (thick, long)
+        if abs(y) > 1.2 or x > 4:
+            parts.append(scene.wall((x, x + size[0]), (y, y + size[1]), rng.uniform(0.4, 2.5)))
+    for _ in range(rng.integers(0, 6)):
+        parts.append(
+            scene.post(rng.uniform(1.5, 12), rng.uniform(-6, 6), 0.0, rng.uniform(0.6, 5), rng.uniform(0.03, 0.12))
+        )
+    for _ in range(rng.integers(0, 3)):
+        parts.append(scene.tree(rng.uniform(4, 18), rng.uniform(-9, 9), 0.0, rng.uniform(3, 8), rng))
+        parts.append(scene.bush(rng.uniform(3, 12), rng.uniform(-6, 6), 0.0, rng.uniform(0.4, 1.0), rng))
+    return scene.Scene(scene.Ground(), join(parts), scene.Mount(x_m=-20.0, y_m=0.0))
+
+
+# --- network --------------------------------------------------------------------------------------------------
+
+
+def conv(inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, 3, stride, dilation, dilation, bias=False), nn.BatchNorm2d(outputs), nn.SiLU()
+    )
+
+
+class Residual(nn.Module):
+    def __init__(self, channels: int, dilation: int) -> None:
+        super().__init__()
+        self.body = nn.Sequential(conv(channels, channels // 2), conv(channels // 2, channels, 1, dilation))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x + self.body(x)
+
+
+class DemoNetwork(nn.Module):
+    """Pictures (B, 3, 256, 320) RGB in 0..1 to raw maps (B, 4 + classes, ROWS, COLUMNS)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.body = nn.Sequential(
+            conv(3, 12, 2), conv(12, 24, 2), conv(24, 48, 2), Residual(48, 1), conv(48, 80, 2),
+            *(Residual(80, dilation) for dilation in (1, 2, 4, 8, 1)),
+        )  # fmt: skip
+        self.head = nn.Sequential(conv(80, 80), nn.Conv2d(80, 4 + len(NAMES), 1))
+        nn.init.constant_(self.head[-1].bias[4:], -4.0)
+        nn.init.constant_(self.head[-1].bias[:4], 1.0)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return self.head(self.body(x))
+
+
+def cell_centres() -> Tensor:
+    """(2, ROWS, COLUMNS) x and y in input px."""
+    y, x = torch.meshgrid(torch.arange(ROWS) + 0.5, torch.arange(COLUMNS) + 0.5, indexing="ij")
+    return torch.stack([x, y]) * STRIDE_PX
+
+
+def corners(raw: Tensor) -> Tensor:
+    """Raw maps to boxes (B, 4, ROWS, COLUMNS) x1 y1 x2 y2: distances from the cell's middle to the four sides."""
+    sides = F.softplus(raw[:, :4]) * STRIDE_PX
+    centre = cell_centres().to(raw)
+    return torch.cat([centre - sides[:, :2], centre + sides[:, 2:]], dim=1)
+
+
+class Exported(nn.Module):
+    """The network with its decoding: (1, 4 + classes, N), centre x, centre y, width, height, class scores."""
+
+    def __init__(self, network: DemoNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, images: Tensor) -> Tensor:
+        raw = self.network(images)
+        low, high = corners(raw).chunk(2, dim=1)
+        return torch.cat([(low + high) / 2, high - low, torch.sigmoid(raw[:, 4:])], dim=1).flatten(2)
+
+
+# --- training -------------------------------------------------------------------------------------------------
+
+
+def targets(labels: list[np.ndarray]) -> tuple[Tensor, Tensor, Tensor]:
+    """Per cell: class (-1 none, -2 ignored) (B, ROWS, COLUMNS), box (B, 4, ROWS, COLUMNS).
+
+    A cell belongs to the smallest box in whose inner half it lies; hidden actors are neither right nor wrong.
+    """
+    centres = cell_centres().numpy()
+    classes = np.full((len(labels), ROWS, COLUMNS), -1)
+    boxes = np.zeros((len(labels), 4, ROWS, COLUMNS), np.float32)
+    for i, rows in enumerate(labels):
+        areas = (rows[:, 3] - rows[:, 1]) * (rows[:, 4] - rows[:, 2])
+        for kind, x1, y1, x2, y2, visible in rows[np.argsort(-areas)]:
+            middle, half = np.array([(x1 + x2) / 2, (y1 + y2) / 2]), np.array([(x2 - x1) / 4, (y2 - y1) / 4])
+            reach = np.maximum(half, 0.5 * STRIDE_PX)[:, None, None]
+            inside = (np.abs(centres - middle[:, None, None]) <= reach).all(axis=0)
+            small = min(x2 - x1, y2 - y1) < 5
+            if visible < IGNORED_VISIBLE:
+                continue
+            ignored = visible < POSITIVE_VISIBLE or small
+            classes[i][inside] = -2 if ignored else int(kind)
+            boxes[i][:, inside] = np.array([x1, y1, x2, y2], np.float32)[:, None]
+    return torch.from_numpy(classes), torch.from_numpy(boxes), torch.from_numpy(classes != -2)
+
+
+def overlap(one: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
+    """IoU and generalised IoU (Rezatofighi et al. 2019) of boxes (4, N)."""
+    low, high = torch.maximum(one[:2], other[:2]), torch.minimum(one[2:], other[2:])
+    shared = (high - low).clamp(min=0).prod(0)
+    union = (one[2:] - one[:2]).prod(0) + (other[2:] - other[:2]).prod(0) - shared
+    hull = (torch.maximum(one[2:], other[2:]) - torch.minimum(one[:2], other[:2])).prod(0)
+    iou = shared / union.clamp(min=1e-6)
+    return iou, iou - (hull - union) / hull.clamp(min=1e-6)
+
+
+def loss_of(raw: Tensor, labels: list[np.ndarray]) -> Tensor:
+    classes, boxes, counted = targets(labels)
+    positive = classes >= 0
+    score = raw[:, 4:].permute(0, 2, 3, 1)
+    wanted = torch.zeros_like(score)
+    box_loss = raw.sum() * 0.0
+    if positive.any():
+        found = corners(raw).permute(1, 0, 2, 3)[:, positive]
+        iou, giou = overlap(found, boxes.permute(1, 0, 2, 3)[:, positive])
+        box_loss = (1 - giou).mean()
+        # The score to reach: mostly the overlap, but never so low that a found object stays silent.
+        wanted[positive] = F.one_hot(classes[positive], len(NAMES)) * (0.5 + 0.5 * iou.detach().clamp(0, 1))[:, None]
+    cost = F.binary_cross_entropy_with_logits(score, wanted, reduction="none")
+    weight = torch.where(wanted > 0, wanted, 0.75 * torch.sigmoid(score).detach() ** 2)
+    score_loss = (cost * weight * counted[..., None]).sum() / positive.sum().clamp(min=1)
+    return score_loss + 2.0 * box_loss
+
+
+def augmented(pictures: Tensor, labels: list[np.ndarray], rng: np.random.Generator) -> tuple[Tensor, list[np.ndarray]]:
+    """Mirrored at random, with other colours and exposure."""
+    pictures, labels = pictures.float() / 255, list(labels)
+    for i, rows in enumerate(labels):
+        if rng.random() < 0.5:
+            pictures[i] = pictures[i].flip(-1)
+            rows = rows.copy()
+            rows[:, [1, 3]] = WIDTH_PX - rows[:, [3, 1]]
+            labels[i] = rows
+    tint = torch.from_numpy(rng.uniform(0.8, 1.2, (len(labels), 3, 1, 1)).astype(np.float32))
+    gain = torch.from_numpy(rng.uniform(0.75, 1.2, (len(labels), 1, 1, 1)).astype(np.float32))
+    return (pictures * tint * gain).clamp(0, 1), labels
+
+
+def train(
+    inputs: np.ndarray, labels: list[np.ndarray], steps: int, batch: int, rng: np.random.Generator
+) -> DemoNetwork:
+    network = DemoNetwork().to(memory_format=torch.channels_last)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=4e-3, weight_decay=0.02)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 4e-3, total_steps=steps, pct_start=0.1)
+    started_s, running = time.monotonic(), 0.0
+    for step in range(steps):
+        chosen = rng.integers(0, len(inputs), batch)
+        pictures, boxes = augmented(torch.from_numpy(inputs[chosen]), [labels[i] for i in chosen], rng)
+        loss = loss_of(network(pictures.to(memory_format=torch.channels_last)), boxes)
+        optimiser.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), 5.0)
+        optimiser.step()
+        schedule.step()
+        running += 0.05 * (loss.item() - running) if step else loss.item()
+        if step % 50 == 49:
+            sys.stderr.write(f"step {step + 1}/{steps}: loss {running:.3f}, {time.monotonic() - started_s:.0f} s\n")
+    return network
+
+
+def export(network: DemoNetwork, path: Path) -> None:
+    """ONNX with the metadata that this family of networks carries."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    example = torch.zeros(1, 3, HEIGHT_PX, WIDTH_PX)
+    torch.onnx.export(
+        Exported(network).eval(), (example,), str(path), input_names=["images"], output_names=["output0"],
+        dynamo=True, external_data=False, verbose=False,
+    )  # fmt: skip
+    model = onnx.load(path)
+    for key, value in {
+        "names": repr(dict(enumerate(NAMES))),
+        "task": "detect",
+        "stride": str(STRIDE_PX),
+        "imgsz": repr([HEIGHT_PX, WIDTH_PX]),
+        "description": "Spotter demo network, trained on simulated pictures only",
+        "license": "Apache-2.0",
+    }.items():
+        model.metadata_props.add(key=key, value=value)
+    del model.graph.value_info[:]
+    for node in model.graph.node:
+        node.ClearField("metadata_props")
+        node.ClearField("doc_string")
+    onnx.save(model, path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=DEMO_MODEL)
+    parser.add_argument("--scenarios", type=int, default=160)
+    parser.add_argument("--pictures", type=int, default=15, help="per scenario")
+    parser.add_argument("--steps", type=int, default=800)
+    parser.add_argument("--batch", type=int, default=16)
+    parser.add_argument("--threads", type=int, default=2)
+    options = parser.parse_args()
+    torch.manual_seed(SEED)
+    torch.set_num_threads(options.threads)
+    rng = np.random.default_rng(SEED)
+    inputs, labels = training_set(options.scenarios, options.pictures, rng)
+    sys.stderr.write(f"{len(inputs)} pictures, {sum(len(rows) for rows in labels)} boxes\n")
+    network = train(inputs, labels, options.steps, options.batch, rng)
+    export(network, options.out)
+    sys.stderr.write(f"{options.out}: {options.out.stat().st_size} bytes\n")
+
+
+if __name__ == "__main__":
+    main()
