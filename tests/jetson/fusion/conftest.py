@@ -16,7 +16,16 @@ from common.messages import (
     ObjectTracks,
     RadarTrack,
     RadarTracks,
+    SensorHealth,
+    ServiceStatus,
+    SystemHealth,
+    Verdict,
 )
+from common.pubsub import Received
+from services.jetson.fusion.clocks import ClockSample
+from services.jetson.fusion.config import FusionConfig
+from services.jetson.fusion.observation import Observation
+from services.jetson.fusion.pipeline import FusionPipeline
 
 
 def lidar(stamp_ns: int, level: Any = "SAFE", nearest_m: float | None = None, **more: Any) -> LidarZones:
@@ -59,3 +68,134 @@ def messages() -> SimpleNamespace:
 def build_message() -> dict[str, Callable[..., Any]]:
     """The same builders by sensor name."""
     return {"lidar": lidar, "radar": radar, "camera": camera, "infra_lidar": infra}
+
+
+HOSTS = {"lidar": "jetson0", "radar": "pi0", "camera": "jetson0", "infra_lidar": "infra0"}
+TOPICS = {"lidar": "zones", "radar": "tracks", "camera": "detections", "infra_lidar": "tracks"}
+BUILDERS: dict[str, Callable[..., Any]] = {"lidar": lidar, "radar": radar, "camera": camera, "infra_lidar": infra}
+START_NS = 1_800_000_000_000_000_000
+TICK_S = 0.05
+
+
+class Bench:
+    """Fusion's pipeline in simulated time: every sensor is a process that publishes at 10 Hz until it is disturbed."""
+
+    def __init__(self, config: FusionConfig | None = None, sensors: tuple[str, ...] = tuple(HOSTS)) -> None:
+        self.pipeline = FusionPipeline(config or FusionConfig())
+        self.now_s = 1000.0
+        self.levels: dict[str, Any] = {"lidar": "SAFE", "radar": "SAFE", "camera": None}
+        self.extra: dict[str, dict[str, Any]] = {name: {} for name in HOSTS}
+        self.delay_s = dict.fromkeys(HOSTS, 0.02)
+        self.clock_s = dict.fromkeys(HOSTS, 0.0)  # their clock minus ours
+        self.silent: set[str] = set()
+        self.instances = {(HOSTS[name], name, name) for name in sensors}
+        self.seq = dict.fromkeys(HOSTS, 0)
+        self.isolated = False
+        self.our_clock_s = 0.0
+        self.answers_clock = True
+        self.pending: list[Received[Any]] = []
+        self.verdicts: list[Verdict] = []
+        self.verdict: Verdict | None = None
+        self.health: SystemHealth | None = None
+        self.refused: dict[str, str] = {}
+
+    @property
+    def now_ns(self) -> int:
+        return START_NS + round((self.now_s + self.our_clock_s) * 1e9)
+
+    def key(self, name: str) -> str:
+        return f"{HOSTS[name]}/{name}/{TOPICS[name]}"
+
+    def kill(self, name: str) -> None:
+        self.instances = {one for one in self.instances if one[1] != name}
+
+    def start(self, name: str, instance: str = "again") -> None:
+        self.instances |= {(HOSTS[name], name, instance)}
+        self.seq[name] = 0
+
+    def message(self, name: str) -> Any:
+        """What the sensor would publish now; its stamp is on its own clock."""
+        measured_ns = START_NS + round((self.now_s - self.delay_s[name] + self.clock_s[name]) * 1e9)
+        level = [] if name == "infra_lidar" else [self.levels[name]]
+        message = BUILDERS[name](measured_ns, *level, **self.extra[name])
+        message.received_ns = message.sent_ns = measured_ns
+        message.seq = self.seq[name]
+        self.seq[name] += 1
+        return message
+
+    def receive(self, key: str, message: Any) -> None:
+        self.pending.append(Received(key, message, self.now_s, self.now_ns))
+
+    def status(self, name: str, state: Any, reason: str = "") -> None:
+        status = ServiceStatus(
+            stamp_ns=self.now_ns, state=state, reason=reason, published=0, dropped=0, bad_input=0, rate_hz=0.0,
+            last_frame_age_s=None, stage_ms={}, rss_mb=1.0,
+        )  # fmt: skip
+        self.receive(f"{HOSTS[name]}/{name}/status", status)
+
+    def tick(self) -> Verdict:
+        """One step of 50 ms; every second one brings a message of every sensor that lives and is not silent."""
+        self.now_s = round(self.now_s + TICK_S, 6)
+        step = round(self.now_s / TICK_S)
+        alive = {service for _, service, _ in self.instances}
+        for name in HOSTS:
+            if step % 2 == 0 and name in alive and name not in self.silent:
+                self.receive(self.key(name), self.message(name))
+        samples = []
+        if step % 10 == 0 and self.answers_clock:
+            samples = [
+                ClockSample(f"{HOSTS[n]}/{n}", self.now_s, self.clock_s[n] - self.our_clock_s, 0.001)
+                for n in HOSTS
+                if n in alive
+            ]
+        seen = Observation(
+            now_s=self.now_s,
+            now_ns=self.now_ns,
+            received=tuple(self.pending),
+            present=frozenset(self.instances),
+            isolated=self.isolated,
+            clock_samples=tuple(samples),
+            refused=self.refused,
+        )
+        self.pending, self.refused = [], {}
+        self.verdict, health = self.pipeline.process(seen)
+        self.verdicts.append(self.verdict)
+        self.health = health or self.health
+        return self.verdict
+
+    def run(self, seconds: float) -> Verdict:
+        verdict = self.tick()
+        for _ in range(round(seconds / TICK_S) - 1):
+            verdict = self.tick()
+        return verdict
+
+    def until(self, condition: Callable[[], object], limit_s: float) -> float:
+        """Seconds of simulated time until the condition holds; fails after the limit."""
+        start_s = self.now_s
+        while not condition():
+            assert self.now_s - start_s < limit_s + TICK_S / 2, f"not within {limit_s} s: {self.health} {self.verdict}"
+            self.tick()
+        return self.now_s - start_s
+
+    def sensor(self, name: str) -> SensorHealth:
+        assert self.health is not None
+        return self.health.sensors[name]
+
+    def is_in(self, name: str, state: str, cause: str | None = None) -> bool:
+        told = self.sensor(name)
+        return told.state == state and cause in (None, told.cause)
+
+
+@pytest.fixture
+def bench() -> Bench:
+    """A bench on which all sensors have come online."""
+    one = Bench()
+    one.run(1.0)
+    assert one.health is not None
+    assert one.health.colour == "green"
+    return one
+
+
+@pytest.fixture(scope="session")
+def new_bench() -> type[Bench]:
+    return Bench

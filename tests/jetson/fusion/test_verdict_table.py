@@ -45,9 +45,8 @@ def inputs_of(row: dict[str, str]) -> FusionInputs:
 
 
 def outcome(verdict: Any) -> tuple[Any, ...]:
-    return (
-        verdict.level, verdict.confirmed, verdict.suppressed, verdict.advisory or "-", verdict.blind, verdict.permission,
-    )  # fmt: skip
+    flags = (verdict.confirmed, verdict.suppressed, verdict.advisory or "-", verdict.blind)
+    return (verdict.level, *flags, verdict.permission)
 
 
 def expected(row: dict[str, str]) -> tuple[Any, ...]:

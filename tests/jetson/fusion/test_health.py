@@ -1,0 +1,227 @@
+"""Sensor states from tokens, ages and self-reports, in simulated time; the first broken link is named."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import pytest
+
+from services.jetson.fusion.bar import bar
+
+STATE = {"on": "online", "deg": "degraded", "disc": "disconnected"}
+
+# Rows 1 to 27 of the health bar: lidar, radar, camera, colour, text.
+BAR = """
+on on on | green | ALL SENSORS ONLINE
+on on deg | amber | CAM DEGRADED: no visual confirmation
+on on disc | amber | CAM DISCONNECTED: no visual confirmation
+on deg on | amber | RADAR DEGRADED: no velocity / no TTC
+on deg deg | red | RADAR DEGRADED + CAM DEGRADED: LiDAR only, no velocity
+on deg disc | red | RADAR DEGRADED + CAM DISCONNECTED: LiDAR only, no velocity
+on disc on | amber | RADAR DISCONNECTED: no velocity / no TTC
+on disc deg | red | RADAR DISCONNECTED + CAM DEGRADED: LiDAR only, no velocity
+on disc disc | red | RADAR DISCONNECTED + CAM DISCONNECTED: LiDAR only, no velocity
+deg on on | amber | LIDAR DEGRADED: no geometric range
+deg on deg | red | LIDAR DEGRADED + CAM DEGRADED: radar only, static obstacles may be missed
+deg on disc | red | LIDAR DEGRADED + CAM DISCONNECTED: radar only, static obstacles may be missed
+deg deg on | red | LIDAR DEGRADED + RADAR DEGRADED: camera only, no measured range
+deg deg deg | red | ALL SENSORS OFFLINE, SYSTEM BLIND
+deg deg disc | red | ALL SENSORS OFFLINE, SYSTEM BLIND
+deg disc on | red | LIDAR DEGRADED + RADAR DISCONNECTED: camera only, no measured range
+deg disc deg | red | ALL SENSORS OFFLINE, SYSTEM BLIND
+deg disc disc | red | ALL SENSORS OFFLINE, SYSTEM BLIND
+disc on on | amber | LIDAR DISCONNECTED: no geometric range
+disc on deg | red | LIDAR DISCONNECTED + CAM DEGRADED: radar only, static obstacles may be missed
+disc on disc | red | LIDAR DISCONNECTED + CAM DISCONNECTED: radar only, static obstacles may be missed
+disc deg on | red | LIDAR DISCONNECTED + RADAR DEGRADED: camera only, no measured range
+disc deg deg | red | ALL SENSORS OFFLINE, SYSTEM BLIND
+disc deg disc | red | ALL SENSORS OFFLINE, SYSTEM BLIND
+disc disc on | red | LIDAR DISCONNECTED + RADAR DISCONNECTED: camera only, no measured range
+disc disc deg | red | ALL SENSORS OFFLINE, SYSTEM BLIND
+disc disc disc | red | ALL SENSORS OFFLINE, SYSTEM BLIND
+"""
+
+
+@pytest.mark.parametrize("row", BAR.strip().splitlines())
+def test_the_bar(row: str) -> None:
+    states, colour, text = (part.strip() for part in row.split("|"))
+    by_name: Any = dict(zip(("lidar", "radar", "camera"), (STATE[s] for s in states.split()), strict=True))
+    assert bar(by_name) == (colour, text)
+
+
+def test_all_27_rows_are_there() -> None:
+    assert len({row.split("|")[0] for row in BAR.strip().splitlines()}) == 27
+
+
+def test_a_sensor_that_never_appeared_is_disconnected_and_waited_for(new_bench: Any) -> None:
+    bench = new_bench(sensors=("lidar", "camera", "infra_lidar"))
+    verdict = bench.run(2.0)
+    assert bench.is_in("radar", "disconnected", "waiting")
+    assert "pi0/radar" in bench.sensor("radar").reason
+    assert any("waiting for pi0/radar" in note for note in bench.health.notes)
+    assert (verdict.level, verdict.rule, verdict.permission) == ("CAUTION", "A25-starting", "STOP")
+
+    bench.start("radar")
+    bench.until(lambda: bench.verdict.permission == "GO", 0.6)
+    assert bench.health.notes == []
+
+
+def test_online_after_three_good_frames_and_not_before(new_bench: Any) -> None:
+    bench = new_bench()
+    frames = 0
+    while not bench.health or not bench.is_in("radar", "online"):
+        bench.tick()
+        frames = bench.seq["radar"]
+        expected = {0: "disconnected", 1: "degraded", 2: "degraded"}.get(frames, "online")
+        assert bench.sensor("radar").state == expected
+    assert frames == 3
+
+
+def test_alarms_count_while_a_sensor_recovers(new_bench: Any) -> None:
+    bench = new_bench()
+    bench.levels["radar"] = "IMMINENT"
+    bench.run(0.1)
+    assert bench.is_in("radar", "degraded", "recovering")
+    assert bench.verdict.level == "IMMINENT"
+
+
+@pytest.mark.parametrize("name", ["lidar", "radar", "camera", "infra_lidar"])
+def test_a_killed_process_is_seen_at_once(bench: Any, name: str) -> None:
+    bench.kill(name)
+    bench.tick()
+    assert bench.is_in(name, "disconnected", "service_gone")
+    bench.start(name)
+    bench.until(lambda: bench.is_in(name, "online"), 0.4)
+
+
+@pytest.mark.parametrize(("name", "limit_s"), [("lidar", 0.5), ("radar", 0.5), ("camera", 1.0), ("infra_lidar", 0.5)])
+def test_a_frozen_process_is_stale_at_the_topics_limit(bench: Any, name: str, limit_s: float) -> None:
+    bench.silent.add(name)
+    took_s = bench.until(lambda: bench.is_in(name, "disconnected"), limit_s + 0.1)
+    assert took_s >= limit_s - 0.15
+    assert bench.is_in(name, "disconnected", "stale")
+    assert "the process is there" in bench.sensor(name).reason
+
+
+def test_silence_first_and_then_the_token_means_the_host(bench: Any) -> None:
+    bench.silent.add("radar")
+    bench.run(2.0)
+    bench.kill("radar")
+    bench.tick()
+    assert bench.is_in("radar", "disconnected", "host_unreachable")
+
+
+def test_a_host_with_other_processes_alive_is_reachable(bench: Any) -> None:
+    bench.instances.add(("pi0", "router", "r1"))
+    bench.silent.add("radar")
+    bench.run(2.0)
+    bench.kill("radar")
+    bench.tick()
+    assert bench.is_in("radar", "disconnected", "service_gone")
+    assert "the host is up" in bench.sensor("radar").reason
+
+
+def test_a_lost_device_is_told_apart_and_comes_back(bench: Any) -> None:
+    bench.silent.add("lidar")
+    bench.status("lidar", "disconnected", "no device at /dev/ttyTHS1; plug it in")
+    bench.tick()
+    assert bench.is_in("lidar", "disconnected", "device_lost")
+    assert bench.sensor("lidar").reason == "no device at /dev/ttyTHS1; plug it in"
+    bench.silent.clear()
+    bench.until(lambda: bench.is_in("lidar", "online"), 0.4)
+
+
+def test_a_degraded_message_degrades_and_recovery_takes_three_frames(bench: Any) -> None:
+    bench.extra["camera"] = {"state": "degraded", "reason": "too dark: brightness 23"}
+    bench.until(lambda: bench.is_in("camera", "degraded", "impaired"), 0.1)
+    assert bench.sensor("camera").reason == "too dark: brightness 23"
+    assert bench.health.summary == "CAM DEGRADED: no visual confirmation"
+    bench.extra["camera"] = {}
+    took_s = bench.until(lambda: bench.is_in("camera", "online"), 0.4)
+    assert took_s >= 0.2
+
+
+def test_a_status_alone_can_degrade(bench: Any) -> None:
+    bench.status("radar", "degraded", "FIFO overflow")
+    bench.tick()
+    assert bench.is_in("radar", "degraded", "impaired")
+    bench.run(4.0)
+    assert bench.is_in("radar", "online"), "a status that is never renewed loses its say"
+
+
+def test_a_radar_that_settles_casts_no_safe_vote(bench: Any) -> None:
+    bench.extra["radar"] = {"settled": False}
+    bench.until(lambda: bench.is_in("radar", "degraded", "impaired"), 0.1)
+    assert "settling" in bench.sensor("radar").reason
+
+
+def test_two_claimants_are_named_and_their_alarm_counts(bench: Any) -> None:
+    bench.instances.add(("pi0", "radar", "second"))
+    bench.levels["radar"] = "CAUTION"
+    bench.run(0.2)
+    assert bench.is_in("radar", "degraded", "two_claimants")
+    assert bench.verdict.level == "CAUTION"
+    assert "pi0/radar: 2 processes claim this name" in bench.health.notes
+
+
+def test_a_watcher_that_lost_its_own_link_blames_nobody_else(bench: Any) -> None:
+    bench.isolated = True
+    bench.instances = set()
+    bench.tick()
+    assert bench.health.summary.startswith("I AM ISOLATED")
+    assert {told.cause for told in bench.health.sensors.values()} == {"isolated"}
+    assert (bench.verdict.level, bench.verdict.blind, bench.verdict.permission) == ("CAUTION", True, "STOP")
+
+
+def test_every_other_host_gone_points_at_our_own_network(bench: Any) -> None:
+    bench.instances = {one for one in bench.instances if one[0] == "jetson0"}
+    bench.run(1.0)
+    assert any("no other host is reachable" in note for note in bench.health.notes)
+
+
+def test_a_sensor_at_the_edge_of_its_limit_does_not_flap(bench: Any) -> None:
+    """One frame every 0.6 s: never three good ones in a row, so never online again."""
+    bench.silent.add("radar")
+    seen = set()
+    for _ in range(20):
+        bench.run(0.6)
+        bench.receive(bench.key("radar"), bench.message("radar"))
+        bench.tick()
+        seen.add(bench.sensor("radar").state)
+    assert "online" not in seen
+
+
+def test_health_comes_on_change_and_at_least_twice_a_second(bench: Any) -> None:
+    told = []
+    for _ in range(40):
+        before = bench.health
+        bench.tick()
+        if bench.health is not before:
+            told.append(bench.now_s)
+    gaps = [later - earlier for earlier, later in itertools.pairwise(told)]
+    assert max(gaps) <= 0.5
+    assert min(gaps) > 0.2, "nothing changed, so it is not told at every tick"
+
+
+def test_rate_age_and_since_are_told(bench: Any) -> None:
+    bench.run(3.0)
+    told = bench.sensor("radar")
+    assert told.rate_hz == pytest.approx(10.0, rel=0.1)
+    assert told.age_ms is not None
+    assert 0.0 < told.age_ms < 200.0
+    since_ns = told.since_ns
+    bench.run(1.0)
+    assert bench.sensor("radar").since_ns == since_ns
+
+
+def test_services_are_listed_with_what_they_say_of_themselves(bench: Any) -> None:
+    bench.instances.add(("jetson0", "dashboard", "d1"))
+    bench.status("radar", "online")
+    bench.run(0.1)
+    services = bench.health.services
+    assert services["jetson0/dashboard"].alive
+    assert (services["pi0/radar"].state, services["pi0/radar"].instances) == ("online", 1)
+    bench.kill("radar")
+    bench.tick()
+    assert not bench.health.services["pi0/radar"].alive
