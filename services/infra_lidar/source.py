@@ -10,9 +10,9 @@
 
 from __future__ import annotations
 
+import logging
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -21,28 +21,21 @@ from common.clock import monotonic_s, utc_ns
 from common.config import ConfigError
 from common.source_url import SourceUrl, parse_source
 from common.status import Report
-from services.infra_lidar.blindness import FrameQuality
 from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.parser import FileFrame, FrameError, parse_frame
+from services.infra_lidar.packet_source import Frame, Recorded, live_packets, recorded_revolutions
+from services.infra_lidar.parser import FrameError, parse_frame
+
+log = logging.getLogger(__name__)
 
 SCHEMES = {
     "sim": ("t0", "columns", "rate_hz"),
-    "file": ("rate", "loop"),
-    "velodyne": (),
-    "ouster": (),
+    "file": ("rate", "loop", "cut", "metadata"),
+    "velodyne": ("cut",),
+    "ouster": ("metadata", "port"),
 }
 NOMINAL_PERIOD_S = 0.1
 LONGEST_GAP_S = 0.5  # frames farther apart are single pictures of one place: shown at the nominal rate
 FRAME_SUFFIXES = (".npz", ".pcd", ".bin")
-
-
-@dataclass(frozen=True)
-class Frame:
-    """points: (N, 3..5) float32 metres, sensor frame (x, y, z, intensity, ring). received_ns: UTC when it was whole."""
-
-    points: np.ndarray
-    received_ns: int
-    quality: FrameQuality = field(default_factory=FrameQuality)
 
 
 def open_source(config: InfraLidarConfig, report: Report) -> Iterator[tuple[int, Frame]]:
@@ -56,7 +49,7 @@ def open_source(config: InfraLidarConfig, report: Report) -> Iterator[tuple[int,
         return _simulated(url)
     if url.scheme == "file":
         return _file(url, report)
-    raise ConfigError(f"source {config.source!r}: live packets are not available")
+    return live_packets(url, report)
 
 
 def _simulated(url: SourceUrl) -> Iterator[tuple[int, Frame]]:
@@ -78,38 +71,55 @@ def _simulated(url: SourceUrl) -> Iterator[tuple[int, Frame]]:
 
 
 def _file(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
-    path = Path(url.target)
+    path = Path(url.target).expanduser()
     if not path.exists():
         raise ConfigError(f"source {url}: {path} does not exist")
     if path.is_dir():
-        return _folder(url, path, report)
-    raise ConfigError(f"source {url}: {path.name} is no folder of frames")
+        names = _frame_names(path)
+        if not names:
+            raise ConfigError(f"source {url}: no {', '.join(FRAME_SUFFIXES)} frames in {path}")
+        return _play(url, _frames(names, report, keep=url.flag("loop") and len(names) <= 20))
+    if path.suffix in FRAME_SUFFIXES:
+        return _play(url, _frames([path], report, keep=True))
+    return _play(url, recorded_revolutions(path, url, report))
 
 
-def _folder(url: SourceUrl, folder: Path, report: Report) -> Iterator[tuple[int, Frame]]:
-    """A folder's frames at recorded pace times ``rate`` (0: as fast as they are taken), again and again with loop=1."""
-    names = _frame_names(folder)
-    if not names:
-        raise ConfigError(f"source {url}: no {', '.join(FRAME_SUFFIXES)} frames in {folder}")
+def _play(url: SourceUrl, recording: Callable[[], Iterator[Recorded]]) -> Iterator[tuple[int, Frame]]:
+    """A recording at its own pace times ``rate`` (0: as fast as frames are taken), again and again with loop=1."""
     rate, clock = url.number("rate", 1.0), _Playback()
-    cache: dict[Path, FileFrame] = {}
     while True:
         previous_s: float | None = None
-        for path in names:
-            try:
-                frame = cache.get(path) or parse_frame(path.name, path.read_bytes())
-            except FrameError as error:
-                report.bad_input(f"frame: {str(error)[:60]}")
-                continue
-            if url.flag("loop") and len(names) <= 20:
-                cache[path] = frame
+        anything = False
+        for frame in recording():
             stamp_ns = clock.next(_gap_s(previous_s, frame.stamp_s), rate)
-            previous_s = frame.stamp_s
-            yield stamp_ns, Frame(frame.points, utc_ns() if rate else stamp_ns)
+            previous_s, anything = frame.stamp_s, True
+            yield stamp_ns, Frame(frame.points, utc_ns() if rate else stamp_ns, frame.quality)
+        if not anything:
+            raise ConfigError(f"source {url}: no frame in it can be read")
         if not url.flag("loop"):
             return
-        if not cache and not previous_s:
-            raise ConfigError(f"source {url}: no frame in {folder} can be read")
+
+
+def _frames(names: list[Path], report: Report, keep: bool) -> Callable[[], Iterator[Recorded]]:
+    """Files as recorded frames; those that cannot be read are counted and left out. ``keep``: in memory."""
+    kept: dict[Path, Recorded] = {}
+
+    def read() -> Iterator[Recorded]:
+        for path in names:
+            frame = kept.get(path)
+            if frame is None:
+                try:
+                    parsed = parse_frame(path.name, path.read_bytes())
+                except FrameError as error:
+                    log.warning("%s", error)
+                    report.bad_input("unreadable frame")
+                    continue
+                frame = Recorded(parsed.points, parsed.stamp_s)
+            if keep:
+                kept[path] = frame
+            yield frame
+
+    return read
 
 
 def _frame_names(folder: Path) -> list[Path]:

@@ -1,0 +1,138 @@
+"""Velodyne VLS-128 (Alpha Prime) packets to revolutions. Bytes in, arrays out; no I/O.
+
+Layout and timing from the VLS-128 user manual (63-9483 Rev. D), chapter 9: a packet of 1206 bytes holds 12 blocks of
+100 bytes (flag, azimuth in 0.01 degree, 32 x distance in 4 mm and reflectivity), a time stamp in microseconds of the
+hour, return mode and product id. The flag tells which 32 of the 128 lasers a block belongs to. Eight lasers fire at a
+time, 2.665 us apart, with a pause after each 64; the head turns on meanwhile.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.infra_lidar.jit import kernel
+from services.infra_lidar.revolutions import PacketTurn, Revolution, TurnCollector
+
+PACKET_BYTES = 1206
+PRODUCT_VLS128 = 0xA1
+DUAL_RETURN = 0x39
+DISTANCE_STEP_M = 0.004
+CYCLE_US, GROUP_S = 55.3, 2.665e-6  # a firing sequence of all 128 lasers, and of eight of them
+MODE_AT, PRODUCT_AT = 1204, 1205
+FOCUS_M = 0.0586  # the beams meet this far in front of the axis
+HOUR_US = 3_600_000_000
+
+_ELEVATION_DEG = np.array([
+    -11.742, -1.99, 3.4, -5.29, -0.78, 4.61, -4.08, 1.31,
+    -6.5, -1.11, 4.28, -4.41, 0.1, 6.48, -3.2, 2.19,
+    -3.86, 1.53, -9.244, -1.77, 2.74, -5.95, -0.56, 4.83,
+    -2.98, 2.41, -6.28, -0.89, 3.62, -5.07, 0.32, 7.58,
+    -0.34, 5.18, -3.64, 1.75, -25, -2.43, 2.96, -5.73,
+    0.54, 9.7, -2.76, 2.63, -7.65, -1.55, 3.84, -4.85,
+    3.18, -5.51, -0.12, 5.73, -4.3, 1.09, -16.042, -2.21,
+    4.06, -4.63, 0.76, 15, -3.42, 1.97, -6.85, -1.33,
+    -5.62, -0.23, 5.43, -3.53, 0.98, -19.582, -2.32, 3.07,
+    -4.74, 0.65, 11.75, -2.65, 1.86, -7.15, -1.44, 3.95,
+    -2.1, 3.29, -5.4, -0.01, 4.5, -4.19, 1.2, -13.565,
+    -1.22, 4.17, -4.52, 0.87, 6.08, -3.31, 2.08, -6.65,
+    1.42, -10.346, -1.88, 3.51, -6.06, -0.67, 4.72, -3.97,
+    2.3, -6.39, -1, 4.39, -5.18, 0.21, 6.98, -3.09,
+    4.98, -3.75, 1.64, -8.352, -2.54, 2.85, -5.84, -0.45,
+    8.43, -2.87, 2.52, -6.17, -1.66, 3.73, -4.96, 0.43,
+])  # fmt: skip
+_OFFSET_DEG = np.tile([-6.354, -4.548, -2.732, -0.911, 0.911, 2.732, 4.548, 6.354], 16)
+_GROUP = np.arange(128) // 8
+_DELAY_S = GROUP_S * (_GROUP + _GROUP // 8)  # of each laser after the start of its firing sequence
+RING = np.argsort(np.argsort(_ELEVATION_DEG, kind="stable")).astype(np.float32)  # 0 = lowest beam
+_ELEVATION = np.radians(_ELEVATION_DEG)
+_CENTIDEGREES = np.radians(np.arange(36000) / 100.0)
+_COS_SIN = np.stack([np.cos(_CENTIDEGREES), np.sin(_CENTIDEGREES)], axis=1).astype(np.float32)
+
+
+class Vls128Parser:
+    """Feed it packets in order; it returns whole revolutions, cut where the head passes ``cut_deg``.
+
+    ``rejected`` counts packets that are none of a VLS-128; ``turns`` counts losses and incomplete revolutions.
+    """
+
+    def __init__(self, cut_deg: float = 0.0) -> None:
+        self._cut_deg = cut_deg
+        self._last_us: int | None = None
+        self._last_turn_deg = -1.0
+        self.turns = TurnCollector()
+        self.rejected = 0
+
+    def feed(self, packet: bytes, stamp_ns: int) -> Revolution | None:
+        """One packet and the UTC ns at which it came; the revolution that ended before it, if one did."""
+        if len(packet) != PACKET_BYTES or packet[PRODUCT_AT] != PRODUCT_VLS128:
+            self.rejected += 1
+            return None
+        first, last = (int.from_bytes(packet[at : at + 2], "little") for at in (2, 1102))
+        if first >= 36000 or last >= 36000:
+            self.rejected += 1
+            return None
+        lost = self._count_lost(packet)
+        turn_deg, end_deg = ((a / 100.0 - self._cut_deg) % 360.0 for a in (first, last))
+        ended = self.turns.finish() if turn_deg < self._last_turn_deg - 180.0 else None
+        self._last_turn_deg = turn_deg
+        self.turns.add(packet, turn_deg, end_deg, stamp_ns, lost)
+        return None if ended is None else decode_turn(ended)
+
+    def _count_lost(self, packet: bytes) -> int:
+        """Packets missing before this one, from the sensor's own clock."""
+        time_us = int.from_bytes(packet[1200:1204], "little")
+        gap_us = 0 if self._last_us is None else (time_us - self._last_us) % HOUR_US
+        self._last_us = time_us
+        firings = 1.5 if packet[MODE_AT] == DUAL_RETURN else 3.0
+        return max(0, round(gap_us / (firings * CYCLE_US)) - 1) if gap_us < 1_000_000 else 0
+
+
+def decode_turn(turn: PacketTurn) -> Revolution:
+    """Points of one revolution; the head's rate is taken from the turn itself."""
+    raw = np.frombuffer(b"".join(turn.packets), np.uint8).reshape(-1, PACKET_BYTES)
+    rate = _head_rate_deg_per_s(raw)
+    turned = np.radians(rate * _DELAY_S - _OFFSET_DEG)
+    lasers = np.stack(
+        [np.cos(turned), np.sin(turned), np.cos(_ELEVATION), np.sin(_ELEVATION), FOCUS_M * np.tan(_ELEVATION), RING]
+    ).astype(np.float32)
+    points = np.empty((len(raw) * 384, 5), np.float32)
+    count = _decode(raw, lasers, _COS_SIN, points)
+    return Revolution(points[:count], turn.stamp_ns, turn.quality)
+
+
+def _head_rate_deg_per_s(raw: np.ndarray) -> float:
+    """Median over packets of the turn from the first to the last block."""
+    azimuth = raw[:, [2, 3, 1102, 1103]].astype(np.int64)
+    turned = (azimuth[:, 2] + 256 * azimuth[:, 3] - azimuth[:, 0] - 256 * azimuth[:, 1]) % 36000
+    firings = np.where(raw[:, MODE_AT] == DUAL_RETURN, 1.0, 2.0)
+    return float(np.median(turned / 100.0 / firings)) / (CYCLE_US * 1e-6)
+
+
+@kernel
+def _decode(raw, lasers, cos_sin, points):  # type: ignore[no-untyped-def]
+    """raw (P, 1206) uint8 to points (M, 5); lasers (6, 128): cos and sin of the turn, of the elevation, lift, ring."""
+    m = 0
+    for p in range(raw.shape[0]):
+        for b in range(12):
+            at = 100 * b
+            flag = raw[p, at + 1]
+            if raw[p, at] != 0xFF or flag < 0xBB or flag > 0xEE or (flag - 0xBB) % 0x11 != 0:
+                continue
+            bank = 32 * ((0xEE - flag) // 0x11)
+            azimuth = raw[p, at + 2] + 256 * raw[p, at + 3]
+            if azimuth >= 36000:
+                continue
+            c, s = cos_sin[azimuth, 0], cos_sin[azimuth, 1]
+            for k in range(32):
+                at_return = at + 4 + 3 * k
+                steps = raw[p, at_return] + 256 * raw[p, at_return + 1]
+                laser = bank + k
+                distance = np.float32(steps) * np.float32(DISTANCE_STEP_M)
+                flat = distance * lasers[2, laser]
+                points[m, 0] = flat * (c * lasers[0, laser] - s * lasers[1, laser])
+                points[m, 1] = -flat * (s * lasers[0, laser] + c * lasers[1, laser])  # turns clockwise from above
+                points[m, 2] = distance * lasers[3, laser] - lasers[4, laser]
+                points[m, 3] = raw[p, at_return + 2]
+                points[m, 4] = lasers[5, laser]
+                m += steps > 0
+    return m
