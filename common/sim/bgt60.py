@@ -103,7 +103,7 @@ def scatterers(world: WorldState) -> np.ndarray:
     """(T, 5) range, radial velocity, azimuth, elevation, amplitude at 1 m: one per solid in view, radar frame."""
     T_map_radar = world.T_map_vehicle @ T_vehicle_radar
     origin = T_map_radar[:3, 3]
-    solids = world.solids_near(origin, _WITHIN_M)
+    solids = world.solids_near(origin, _WITHIN_M, limbs=True)
     point = transform_points(invert(T_map_radar), facing_point(solids, origin))
     range_m = np.linalg.norm(point, axis=1)
     velocity = np.sum(solids.velocity_mps @ T_map_radar[:3, :3] * point, axis=1) / range_m

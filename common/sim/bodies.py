@@ -44,13 +44,18 @@ def _pedestrian(size_m: tuple[float, float, float], phase_rad: float, effort: fl
     down = np.column_stack([np.sin(swing), [0.0, 0.0], -np.cos(swing)])
     foot = hip + 0.88 * height * down
     hand = shoulder + 0.62 * height * down * [-1.0, 1.0, 1.0]
-    trunk = [
-        solid(SPHERE, (0.0, 0.0, 1.16 * height), (0.13, 0.20 * broad, 0.36 * height), "pedestrian", "cloth"),
-        solid(SPHERE, (0.02, 0.0, 1.60 * height), (0.10, 0.085, 0.12 * height), "pedestrian", "skin"),
-    ]
     parts = ["trousers", "trousers", "cloth", "cloth"]
     radius = [0.075, 0.075, 0.045, 0.045]
-    return join([*trunk, limbs(np.vstack([foot, hand]), np.vstack([hip, shoulder]), radius, "pedestrian", parts)])
+    return join(
+        [_trunk(height, broad), limbs(np.vstack([foot, hand]), np.vstack([hip, shoulder]), radius, "pedestrian", parts)]
+    )
+
+
+@lru_cache(maxsize=512)
+def _trunk(height: float, broad: float) -> Solids:
+    torso = solid(SPHERE, (0.0, 0.0, 1.16 * height), (0.13, 0.20 * broad, 0.36 * height), "pedestrian", "cloth")
+    head = solid(SPHERE, (0.02, 0.0, 1.60 * height), (0.10, 0.085, 0.12 * height), "pedestrian", "skin")
+    return join([torso, head])
 
 
 # A bicycle of 1.75 m with its rider: start, end (metres), radius, part.

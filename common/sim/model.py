@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -49,12 +49,19 @@ class Actor:
 
     @cached_property
     def solids(self) -> Solids:
-        """The body in the map frame, as every sensor sees it; limbs have their own velocity."""
-        speed = float(np.linalg.norm(self.velocity_mps))
-        now = body(self.kind, self.size_m, self.travelled_m, speed)
-        soon = body(self.kind, self.size_m, self.travelled_m + speed * _LIMB_STEP_S, speed)
-        limbs_mps = (soon.centre_m - now.centre_m) @ self.T_map_body[:3, :3].T / _LIMB_STEP_S
-        return now.placed(self.T_map_body, self.actor_id, self.velocity_mps + limbs_mps)
+        """The body in the map frame, as every sensor sees it; all parts with the actor's velocity."""
+        return self._body(self.travelled_m).placed(self.T_map_body, self.actor_id, self.velocity_mps)
+
+    @cached_property
+    def swinging_solids(self) -> Solids:
+        """The same with the velocity of every limb of its own: for the radar, which sees speeds."""
+        way_m = float(np.linalg.norm(self.velocity_mps)) * _LIMB_STEP_S
+        way = self._body(self.travelled_m + way_m).centre_m - self._body(self.travelled_m).centre_m
+        limbs_mps = way @ self.T_map_body[:3, :3].T / _LIMB_STEP_S
+        return replace(self.solids, velocity_mps=self.velocity_mps + limbs_mps)
+
+    def _body(self, travelled_m: float) -> Solids:
+        return body(self.kind, self.size_m, travelled_m, float(np.linalg.norm(self.velocity_mps)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +82,15 @@ class WorldState:
         """Fixtures and all bodies, map frame."""
         return join([self.scene.fixtures, *(actor.solids for actor in self.actors)])
 
-    def solids_near(self, point_m: np.ndarray, within_m: float) -> Solids:
-        """Those with a part within ``within_m`` of a point, map frame; bodies far away are not even built."""
+    def solids_near(self, point_m: np.ndarray, within_m: float, limbs: bool = False) -> Solids:
+        """Those with a part within ``within_m`` of a point, map frame; bodies far away are not even built.
+
+        With ``limbs``, arms and legs carry their own velocity.
+        """
         reach_m = within_m + _BODY_REACH_M
         close = [a for a in self.actors if math.dist(a.position_m[:2], point_m[:2]) < reach_m]
-        return join([self.scene.fixtures, *(actor.solids for actor in close)]).near(point_m, within_m)
+        bodies = [actor.swinging_solids if limbs else actor.solids for actor in close]
+        return join([self.scene.fixtures, *bodies]).near(point_m, within_m)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ SPHERE, CYLINDER, BOX, FOLIAGE = range(4)  # the cylinder stands on z; foliage i
 KINDS = ("ground", "wall", "tree", "pole", "bush", "pedestrian", "cyclist", "car", "bus", "truck")
 # What a solid is made of: reflectivity at 905 nm and the camera's paint.
 PARTS = ("concrete", "wood", "leaves", "metal", "cloth", "trousers", "skin", "paint", "glass", "rubber", "lamp")
+_PART_INDEX = {part: index for index, part in enumerate(PARTS)}
 REFLECTIVITY = np.array([0.45, 0.25, 0.5, 0.4, 0.4, 0.25, 0.5, 0.6, 0.1, 0.06, 0.9])
 SCENE_ID = -1
 GROUND_ID = -2
@@ -53,7 +54,7 @@ class Solids:
         return np.select([self.shape == CYLINDER, self.shape == BOX], [drum_m, box_m], round_m)
 
     def take(self, index: np.ndarray) -> Solids:
-        return Solids(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+        return Solids(*(getattr(self, name)[index] for name in _FIELDS))
 
     def near(self, point_m: np.ndarray, within_m: float) -> Solids:
         """Those with a part within ``within_m`` of a point."""
@@ -73,9 +74,12 @@ class Solids:
         )
 
 
+_FIELDS = tuple(Solids.__dataclass_fields__)
+
+
 def join(parts: list[Solids]) -> Solids:
     """All solids of the list as one; the list is not empty."""
-    return Solids(*(np.concatenate([getattr(p, name) for p in parts]) for name in Solids.__dataclass_fields__))
+    return Solids(*(np.concatenate([getattr(p, name) for p in parts]) for name in _FIELDS))
 
 
 def solid(
@@ -121,7 +125,7 @@ def limbs(start_m: ArrayLike, end_m: ArrayLike, radius_m: ArrayLike, kind: str, 
         0.5 * (start + end),
         np.stack([u * radius, v * radius, w * (0.5 * length)]).transpose(2, 1, 0),
         np.full(count, KINDS.index(kind), np.uint8),
-        np.array([PARTS.index(part) for part in parts], np.uint8),
+        np.array([_PART_INDEX[part] for part in parts], np.uint8),
         np.full(count, SCENE_ID, np.int32),
         np.zeros((count, 3)),
     )
