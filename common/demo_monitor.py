@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections import Counter, deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +17,7 @@ import zenoh
 from common.clock import monotonic_s
 from common.codec import DecodeError, decode
 from common.messages import ServiceStatus, SystemHealth, Verdict
-from common.topics import DATA_TOPICS, SERVICES, find_topic
+from common.topics import DATA_TOPICS, SERVICES, find_topic, status_topic
 
 _PRIMARY = {topic.service: topic.product for topic in reversed(DATA_TOPICS) if topic.age_limit_s is not None}
 MAX_LATENCIES = 200_000
@@ -45,9 +46,13 @@ class DemoMonitor:
         self._last_state: dict[str, tuple[str, str]] = {}
         self._last_verdict: tuple[str, str] = ("", "")
         self._seen: DemoReport = DemoReport(monotonic_s())
-        self._subscriber = session.declare_subscriber("*/*/*", zenoh.handlers.FifoChannel(4096))
-        self._thread = threading.Thread(target=self._receive, name="demo monitor", daemon=True)
-        self._thread.start()
+        # On-demand topics are left alone: listening would make the services produce them.
+        watched = [topic for topic in DATA_TOPICS if not topic.on_demand] + [status_topic("*")]
+        self._subscribers = [
+            session.declare_subscriber(topic.any_host, zenoh.handlers.FifoChannel(4096)) for topic in watched
+        ]
+        for subscriber in self._subscribers:
+            threading.Thread(target=self._receive, args=(subscriber,), name="demo monitor", daemon=True).start()
 
     def restart(self) -> None:
         """Forget the start-up: counts, histories and latencies begin now."""
@@ -102,9 +107,9 @@ class DemoMonitor:
             "bad_input": self._seen.bad_input.get(name, 0),
         }
 
-    def _receive(self) -> None:
+    def _receive(self, subscriber: Iterable[zenoh.Sample]) -> None:
         try:
-            for sample in self._subscriber:
+            for sample in subscriber:
                 self._note(str(sample.key_expr), sample.payload.to_bytes())
         except zenoh.ZError:
             return
