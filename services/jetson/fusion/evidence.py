@@ -58,3 +58,4 @@ class FusionMemory:
     suppression_spent: bool = False  # suppression was ended for this detection
     lidar_alarm: Alarm | None = None  # last alarms that counted, to outlive their sensor
     radar_alarm: Alarm | None = None
+    camera_alarm: Alarm | None = None  # while it stood in for the lidar

@@ -29,7 +29,7 @@ class Surroundings:
     isolated: bool = False  # we have lost our own link
     status: Received[ServiceStatus] | None = None
     clock_distrust: str = ""
-    clock_offset_s: float = 0.0  # their clock minus ours
+    clock_offset_s: float | None = 0.0  # their clock minus ours; None = their stamps cannot be dated now
     undecodable: str = ""  # what was wrong with the last payload that was refused
 
 
@@ -72,7 +72,9 @@ class SensorWatch:
     def take(self, received: Received[Message], around: Surroundings) -> str:
         """Accept a message; or say why not: a repetition, or older than what we have."""
         message = received.message
-        stamp_age_s = (received.arrived_ns - message.stamp_ns) * 1e-9 + around.clock_offset_s
+        stamp_age_s = 0.0
+        if around.clock_offset_s is not None:
+            stamp_age_s = (received.arrived_ns - message.stamp_ns) * 1e-9 + around.clock_offset_s
         refused = self._out_of_order(received)
         if refused:
             return refused

@@ -9,7 +9,7 @@ from common.messages import EgoMotion, ServiceStatus
 from common.presence import Instance
 from common.pubsub import Received
 from common.topics import CAMERA_DETECTIONS, EGO_MOTION, INFRA_TRACKS, LIDAR_ZONES, RADAR_TRACKS, Topic
-from services.jetson.fusion.clocks import ClockWatch
+from services.jetson.fusion.clocks import ClockWatch, OwnClock
 from services.jetson.fusion.config import FusionConfig, SensorConfig
 from services.jetson.fusion.health import SensorWatch, Surroundings
 from services.jetson.fusion.observation import Observation
@@ -41,9 +41,18 @@ class Inbox:
         self._by_key = {topic.key(sensors[name].host): name for name, topic in SENSOR_TOPICS.items()}
         self._by_service = {f"{watch.host}/{watch.service}": name for name, watch in self.watches.items()}
         self._refused: dict[str, tuple[str, float]] = {}
+        self._own_clock = OwnClock(config.clocks)
+        self._own_step: tuple[str, float] = ("", 0.0)
+
+    def own_clock_doubt(self, now_s: float) -> str:
+        """Why no stamp can be dated now; empty when our own clock has stood still for long enough."""
+        text, stepped_s = self._own_step
+        settle_s = self._config.clocks.settle_samples * self._config.clocks.period_s
+        return text if text and now_s - stepped_s < settle_s else ""
 
     def sort(self, seen: Observation) -> dict[str, Surroundings]:
         """Take everything in; returns what is known about each sensor besides its data."""
+        self._check_own_clock(seen)
         for sample in seen.clock_samples:
             if sample.name in self._by_service:
                 self.clocks[self._by_service[sample.name]].add(sample)
@@ -56,6 +65,13 @@ class Inbox:
         for received in seen.received:
             self._take(received, around)
         return around
+
+    def _check_own_clock(self, seen: Observation) -> None:
+        step_s = self._own_clock.step(seen.now_s, seen.now_ns)
+        if step_s:
+            self._own_step = (f"our own clock stepped by {step_s:+.3f} s, measuring the others again", seen.now_s)
+            for clock in self.clocks.values():
+                clock.forget()
 
     def _take(self, received: Received[Any], around: dict[str, Surroundings]) -> None:
         name = self._by_key.get(received.key)
@@ -89,7 +105,7 @@ class Inbox:
         instances = count_instances(seen.present, watch.host, watch.service)
         if instances == 0:
             clock.forget()  # whoever comes next has a clock of its own
-        best = clock.estimate(seen.now_s)
+        best, undatable = clock.estimate(seen.now_s), bool(self.own_clock_doubt(seen.now_s))
         why, refused_s = self._refused.get(name, ("", seen.now_s))
         return Surroundings(
             instances=instances,
@@ -97,7 +113,7 @@ class Inbox:
             isolated=seen.isolated,
             status=self.statuses.get(f"{watch.host}/{watch.service}"),
             clock_distrust=clock.distrust(seen.now_s),
-            clock_offset_s=best.offset_s if best else 0.0,
+            clock_offset_s=best.offset_s if best else None if undatable else 0.0,
             undecodable=f"undecodable: {why}" if why and seen.now_s - refused_s < REFUSED_SHOWN_S else "",
         )
 

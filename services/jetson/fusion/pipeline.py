@@ -6,7 +6,6 @@ from collections import Counter
 from dataclasses import replace
 
 from common.messages import ObjectTracks, SensorHealth, SystemHealth, Verdict
-from services.jetson.fusion.clocks import OwnClock
 from services.jetson.fusion.config import FusionConfig
 from services.jetson.fusion.evidence import FusionInputs, FusionMemory, SensorInput
 from services.jetson.fusion.inbox import ONBOARD, Inbox
@@ -26,7 +25,6 @@ class FusionPipeline:
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
         self._inbox = Inbox(config)
-        self._own_clock = OwnClock(config.clocks)
         self._memory = FusionMemory()
         self._tracks = (0, tabulate([]))  # arrays of the roadside message with this stamp
         self.latency = LatencyBook({name: getattr(config.sensors, name).budget_ms for name in self._inbox.watches})
@@ -39,30 +37,22 @@ class FusionPipeline:
 
     def process(self, seen: Observation) -> tuple[Verdict, SystemHealth | None]:
         """The verdict now; and health when it has changed or is due."""
-        # 1. a step of our own clock makes every offset unknown
-        self._check_own_clock(seen)
-        # 2. what arrived goes to the sensor it is about
+        # 1. what arrived goes to the sensor it is about
         around = self._inbox.sort(seen)
-        # 3. the state of every sensor: link, process, device, data, clock
+        # 2. the state of every sensor: link, process, device, data, clock
         judged: Judged = {
             name: watch.judge(seen.now_s, seen.now_ns, around[name]) for name, watch in self._inbox.watches.items()
         }
-        # 4. what the roadside means for the vehicle
+        # 3. what the roadside means for the vehicle
         vehicle = vehicle_now(self._inbox.ego, seen.now_s, self._config)
         roadside = self._from_roadside(judged["infra_lidar"][0], vehicle)
-        # 5. the verdict, by the rules
+        # 4. the verdict, by the rules
         inputs = self._inputs(seen, judged, vehicle, roadside)
         verdict, self._memory = fuse(inputs, self._memory, self._config.rules)
-        # 6. how old was all that
+        # 5. how old was all that
         self.latency.add({name: sensor for name, (sensor, _) in judged.items()})
-        # 7. health for people, when there is news
+        # 6. health for people, when there is news
         return verdict, self._reporter.report(seen, {name: told for name, (_, told) in judged.items()})
-
-    def _check_own_clock(self, seen: Observation) -> None:
-        stepped_s = self._own_clock.step(seen.now_s, seen.now_ns)
-        if stepped_s:
-            for clock in self._inbox.clocks.values():
-                clock.restart(f"our own clock stepped by {stepped_s:+.3f} s")
 
     def _from_roadside(self, sensor: SensorInput, vehicle: Vehicle) -> SensorInput | None:
         """The roadside lidar as a witness; None when it is switched off."""
@@ -87,7 +77,8 @@ class FusionPipeline:
     def _inputs(
         self, seen: Observation, judged: Judged, vehicle: Vehicle, roadside: SensorInput | None
     ) -> FusionInputs:
-        undated = tuple(judged[name][1].reason for name in ONBOARD if judged[name][1].cause == "clock")
+        undated = [judged[name][1].reason for name in ONBOARD if judged[name][1].cause == "clock"]
+        doubt = self._inbox.own_clock_doubt(seen.now_s)
         return FusionInputs(
             now_s=seen.now_s,
             moving=vehicle.moving,
@@ -95,7 +86,7 @@ class FusionPipeline:
             radar=judged["radar"][0],
             camera=judged["camera"][0],
             roadside=roadside,
-            distrust=undated,
+            distrust=(doubt, *undated) if doubt else tuple(undated),
             starting=tuple(name for name in ONBOARD if not self._inbox.watches[name].reported),
             stamp_ns=seen.now_ns,
         )

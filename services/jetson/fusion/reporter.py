@@ -30,6 +30,7 @@ class Reporter:
         services = self._judge_services(seen)
         news = (
             seen.isolated,
+            self._inbox.own_clock_doubt(seen.now_s),
             {name: (sensor.state, sensor.cause) for name, sensor in sensors.items()},
             {name: (service.state, service.instances) for name, service in services.items()},
         )
@@ -44,6 +45,9 @@ class Reporter:
         colour, summary = bar({name: sensors[name].state for name in ONBOARD})
         if seen.isolated:
             colour, summary = "red", ISOLATED
+        doubt = self._inbox.own_clock_doubt(seen.now_s)
+        if doubt and colour == "green":
+            colour, summary = "amber", "CLOCK NOT TRUSTED: the age of data is uncertain"
         late = self._latency.over_budget()
         for name, text in late.items():
             if sensors[name].state == "online":
@@ -53,7 +57,12 @@ class Reporter:
             for name, watch in self._inbox.watches.items()
             if (told := self._inbox.clocks[name].health(seen.now_s)) is not None
         }
-        notes = [*self._waiting(), *self._far_away(seen), *(f"{name} {text}" for name, text in late.items())]
+        notes = [
+            *([doubt] if doubt else []),
+            *self._waiting(),
+            *self._far_away(seen),
+            *(f"{name} {text}" for name, text in late.items()),
+        ]
         notes += [f"{n}: {s.instances} processes claim this name" for n, s in services.items() if s.instances > 1]
         notes += [
             f"clock of {name} is {clock.offset_ms / 1e3:+.3f} s from ours; ages are corrected for it"

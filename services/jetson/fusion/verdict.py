@@ -106,6 +106,9 @@ def remember(
         memory,
         lidar_alarm=_keep_alarm(inputs.lidar.state, lidar, memory.lidar_alarm, inputs.now_s, rules.hold_s),
         radar_alarm=_keep_alarm(inputs.radar.state, radar, memory.radar_alarm, inputs.now_s, rules.hold_s),
+        camera_alarm=_keep_alarm(
+            inputs.camera.state, stand_in(inputs), memory.camera_alarm, inputs.now_s, rules.hold_s
+        ),
     )
 
 
@@ -176,20 +179,28 @@ def camera_claims(inputs: FusionInputs, claims: list[Claim], rules: RulesConfig)
     level = inputs.camera.level
     if inputs.camera.state != "online" or level is None:
         return []
-    if inputs.lidar.state != "online":
-        stand_in: Level = "IMMINENT" if level == "IMMINENT" else "CAUTION"
-        text = f"{seen_by('camera', inputs.camera, stand_in)}; it stands in for the lidar"
-        return [Claim(stand_in, "R5-camera-stands-in", text, "camera")]
+    instead = stand_in(inputs)
+    if instead is not None:
+        text = f"{seen_by('camera', inputs.camera, instead)}; it stands in for the lidar"
+        return [Claim(instead, "R5-camera-stands-in", text, "camera")]
     if rules.camera_may_raise and is_confirmed(inputs, claims, rules) and RANK[level] >= RANK[claims[0].level]:
         text = f"{seen_by('camera', inputs.camera, level)}; it confirms: {claims[0].because}"
         return [Claim(level, "R3-confirmed", text, "camera")]
     return []
 
 
+def stand_in(inputs: FusionInputs) -> Level | None:
+    """What the camera says in place of a lidar that is out: anything it sees is at least CAUTION."""
+    if inputs.lidar.state == "online" or inputs.camera.state != "online" or inputs.camera.level is None:
+        return None
+    return "IMMINENT" if inputs.camera.level == "IMMINENT" else "CAUTION"
+
+
 def held(inputs: FusionInputs, memory: FusionMemory, rules: RulesConfig) -> list[Claim]:
     """H1: alarms of sensors that went out while they were alarming."""
     claims = []
-    for name, alarm in (("lidar", memory.lidar_alarm), ("radar", memory.radar_alarm)):
+    alarms = {"lidar": memory.lidar_alarm, "radar": memory.radar_alarm, "camera": memory.camera_alarm}
+    for name, alarm in alarms.items():
         if alarm is not None and inputs.sensors[name].state != "online":
             age_s = inputs.now_s - alarm.at_s
             text = f"{name} said {alarm.level} {age_s:.1f} s ago and went {inputs.sensors[name].state}"

@@ -1,0 +1,195 @@
+"""What time does to the verdict: suppression, hold, and the numbers in the rules."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from services.jetson.fusion.config import RulesConfig
+from services.jetson.fusion.verdict import FusionInputs, FusionMemory, SensorInput, fuse
+
+ONLINE = SensorInput(state="online", level="SAFE", age_s=0.02)
+EMPTY = SensorInput(state="online", level=None, age_s=0.1)
+LOST = SensorInput(state="disconnected", level=None, age_s=2.0, reason="gone")
+
+
+def detected(level: Any = "CAUTION", nearest_m: float | None = None) -> SensorInput:
+    return SensorInput(state="online", level=level, age_s=0.02, nearest_m=nearest_m)
+
+
+class Run:
+    """Fuses step by step and keeps the memory."""
+
+    def __init__(self, rules: RulesConfig | None = None) -> None:
+        self.memory, self.rules = FusionMemory(), rules or RulesConfig()
+
+    def at(self, now_s: float, **sensors: Any) -> Any:
+        told = {"lidar": ONLINE, "radar": ONLINE, "camera": EMPTY, "moving": None} | sensors
+        verdict, self.memory = fuse(FusionInputs(now_s=now_s, **told), self.memory, self.rules)
+        return verdict
+
+
+def test_suppression_lasts_less_than_a_second_and_then_it_is_caution() -> None:
+    run = Run()
+    for step in range(10):
+        verdict = run.at(step * 0.1, lidar=detected())
+        assert (verdict.level, verdict.rule, verdict.suppressed) == ("SAFE", "R4-suppressed", True)
+    verdict = run.at(1.0, lidar=detected())
+    assert (verdict.level, verdict.suppressed, verdict.confirmed) == ("CAUTION", False, False)
+    assert (verdict.rule, verdict.permission) == ("R1-worst-case", "SLOW")
+
+
+def test_the_second_begins_with_the_detection_not_with_the_suppression() -> None:
+    run = Run()
+    seen = SensorInput(state="online", level="SAFE", age_s=0.1)
+    assert run.at(0.0, lidar=detected(), camera=seen).level == "CAUTION"
+    assert run.at(0.9, lidar=detected()).level == "SAFE"
+    assert run.at(1.0, lidar=detected()).level == "CAUTION"
+
+
+def test_only_a_clear_lidar_begins_a_new_detection() -> None:
+    run = Run()
+    run.at(0.0, lidar=detected())
+    run.at(0.5, lidar=LOST)
+    assert run.at(1.1, lidar=detected()).level == "CAUTION", "it was never seen to be clear"
+    run.at(1.2, lidar=ONLINE)
+    assert run.at(1.3, lidar=detected()).suppressed
+
+
+def test_closing_by_ten_centimetres_ends_it_for_good() -> None:
+    run = Run()
+    assert run.at(0.0, lidar=detected(nearest_m=1.50)).suppressed
+    assert run.at(0.1, lidar=detected(nearest_m=1.60)).suppressed
+    assert run.at(0.2, lidar=detected(nearest_m=1.51)).suppressed
+    assert run.at(0.3, lidar=detected(nearest_m=1.50)).level == "CAUTION"
+    verdict = run.at(0.4, lidar=detected(nearest_m=1.60))
+    assert verdict.level == "CAUTION"
+    assert "no longer holds it back" in verdict.to_lower
+
+
+def test_the_radar_leaving_safe_ends_it_for_good() -> None:
+    run = Run()
+    assert run.at(0.0, lidar=detected()).suppressed
+    assert run.at(0.1, lidar=detected(), radar=detected()).level == "CAUTION"
+    assert run.at(0.2, lidar=detected()).level == "CAUTION"
+
+
+@pytest.mark.parametrize("lost", ["radar", "camera"])
+def test_losing_a_sensor_ends_it_at_once(lost: str) -> None:
+    run = Run()
+    assert run.at(0.0, lidar=detected()).suppressed
+    assert run.at(0.1, lidar=detected(), **{lost: LOST}).level == "CAUTION"
+
+
+@pytest.mark.parametrize(("age_s", "level"), [(0.5, "SAFE"), (0.51, "CAUTION"), (None, "CAUTION"), (-0.6, "CAUTION")])
+def test_an_old_or_undated_picture_suppresses_nothing(age_s: float | None, level: str) -> None:
+    picture = SensorInput(state="online", level=None, age_s=age_s)
+    assert Run().at(0.0, lidar=detected(), camera=picture).level == level
+
+
+@pytest.mark.parametrize(("age_s", "level"), [(0.5, "IMMINENT"), (0.51, "CAUTION")])
+def test_an_old_picture_confirms_nothing(age_s: float, level: str) -> None:
+    picture = SensorInput(state="online", level="IMMINENT", age_s=age_s)
+    verdict = Run().at(0.0, lidar=detected(), camera=picture)
+    assert (verdict.level, verdict.confirmed) == (level, age_s <= 0.5)
+
+
+def test_imminent_is_never_suppressed() -> None:
+    for suppression in ("off", "limited", "full"):
+        run = Run(RulesConfig(suppression=suppression))  # type: ignore[arg-type]
+        assert run.at(0.0, lidar=detected("IMMINENT")).level == "IMMINENT"
+
+
+def test_suppression_can_be_off_or_without_limit() -> None:
+    assert Run(RulesConfig(suppression="off")).at(0.0, lidar=detected()).level == "CAUTION"
+    run = Run(RulesConfig(suppression="full"))
+    assert all(run.at(now_s, lidar=detected()).suppressed for now_s in (0.0, 1.0, 60.0))
+    assert run.at(61.0, lidar=detected(), radar=detected()).level == "CAUTION"
+
+
+def test_the_camera_may_be_forbidden_to_raise() -> None:
+    picture = SensorInput(state="online", level="IMMINENT", age_s=0.1)
+    verdict = Run(RulesConfig(camera_may_raise=False)).at(0.0, lidar=detected(), camera=picture)
+    assert (verdict.level, verdict.confirmed) == ("CAUTION", True)
+
+
+@pytest.mark.parametrize("name", ["lidar", "radar"])
+def test_an_alarm_outlives_its_sensor_for_a_moment(name: str) -> None:
+    run = Run()
+    run.at(0.0, **{name: detected("IMMINENT")})
+    for now_s in (0.1, 0.4):
+        verdict = run.at(now_s, **{name: LOST})
+        assert (verdict.level, verdict.rule) == ("IMMINENT", "H1-held")
+    assert run.at(0.5, **{name: LOST}).level == "SAFE"
+
+
+def test_a_blocked_lens_does_not_lower_an_alarm_at_once() -> None:
+    """Something that comes so near that it covers the lens is not gone."""
+    run = Run()
+    run.at(0.0, lidar=detected("IMMINENT"))
+    blocked = SensorInput(state="degraded", level="SAFE", age_s=0.02, reason="blocked")
+    assert run.at(0.1, lidar=blocked).level == "IMMINENT"
+    partly = SensorInput(state="degraded", level="CAUTION", age_s=0.02, reason="blocked")
+    assert run.at(0.2, lidar=partly).level == "IMMINENT"
+    assert run.at(0.6, lidar=partly).level == "CAUTION"
+
+
+def test_the_cameras_alarm_in_the_lidars_place_is_held_too() -> None:
+    run = Run()
+    seen = SensorInput(state="online", level="IMMINENT", age_s=0.1)
+    assert run.at(0.0, lidar=LOST, camera=seen).level == "IMMINENT"
+    assert run.at(0.1, lidar=LOST, camera=LOST).level == "IMMINENT"
+    assert run.at(0.5, lidar=LOST, camera=LOST).level == "CAUTION"
+
+
+def test_a_sensor_that_is_back_is_believed_at_once() -> None:
+    run = Run()
+    run.at(0.0, lidar=detected("IMMINENT"))
+    run.at(0.1, lidar=LOST)
+    assert run.at(0.2, lidar=ONLINE).level == "SAFE"
+
+
+def test_time_running_backwards_suppresses_nothing() -> None:
+    run = Run()
+    run.at(100.0, lidar=detected())
+    assert run.at(50.0, lidar=detected()).level == "CAUTION"
+
+
+def test_the_verdict_names_the_object_and_what_would_lower_it() -> None:
+    zone = {"zone": "centre", "nearest_m": 0.62}
+    lidar = SensorInput(state="online", level="IMMINENT", age_s=0.02, nearest_m=0.62, deciding=zone)
+    verdict = Run().at(0.0, lidar=lidar, radar=LOST)
+    assert verdict.because == "lidar IMMINENT at 0.62 m (centre)"
+    assert verdict.deciding == zone
+    assert verdict.to_lower == "lidar to report SAFE"
+    assert verdict.inputs["lidar"].used
+    assert verdict.inputs["radar"].why == "disconnected: gone; no vote, which is not a vote for SAFE"
+    assert not verdict.inputs["radar"].used
+
+
+@pytest.mark.parametrize(
+    ("sensors", "rule", "to_lower"),
+    [
+        ({"radar": LOST, "camera": LOST}, "R7-two-out", "radar online again or camera online again"),
+        ({"lidar": LOST, "radar": LOST, "camera": LOST}, "R7-blind", "two of:"),
+        ({"starting": ("radar",), "radar": LOST}, "A25-starting", "a first message from radar"),
+        ({"distrust": ("pi0 stepped",)}, "C1-clock", "clock offset"),
+        ({"lidar": LOST, "camera": detected("SAFE")}, "R5-camera-stands-in", "lidar online again"),
+        ({"roadside": detected("CAUTION")}, "I1-roadside", "the roadside object off the vehicle's path"),
+        ({"lidar": detected(), "camera": detected()}, "R3-confirmed", "camera to report SAFE"),
+    ],
+)
+def test_the_deciding_rule_and_the_way_down(sensors: dict[str, Any], rule: str, to_lower: str) -> None:
+    verdict = Run().at(0.0, **sensors)
+    assert verdict.rule == rule
+    assert verdict.to_lower.startswith(to_lower)
+
+
+def test_standing_radar_tracks_count_with_a_degraded_lidar_unless_the_vehicle_stands() -> None:
+    degraded = SensorInput(state="degraded", level=None, age_s=0.02, reason="37 scans blocked")
+    radar = SensorInput(state="online", level="SAFE", age_s=0.02, static_level="IMMINENT")
+    for moving, level in ((True, "IMMINENT"), (None, "IMMINENT"), (False, "SAFE")):
+        verdict = Run().at(0.0, lidar=degraded, radar=radar, moving=moving)
+        assert verdict.level == level
+        assert (verdict.rule == "R9-static-radar") == (level == "IMMINENT")
