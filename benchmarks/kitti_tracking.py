@@ -43,7 +43,7 @@ def track_sequence(detections: Rows, kind: str, settings: TrackingConfig, min_sc
         for track_id, hit in tracker.matches.items():
             last_seen[track_id] = int(index[hit])
         for track in tracks:
-            if track.state != "tentative":
+            if track.state == "confirmed":
                 box = _to_camera(track.position_m, track.size_m, track.yaw_rad)
                 rows.append((frame, track.track_id, last_seen[track.track_id], box))
     if not rows:

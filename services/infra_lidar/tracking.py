@@ -152,10 +152,10 @@ class MultiObjectTracker:
 
     def _retire(self) -> None:
         c = self._config
-        unseen_s = (self._stamp_ns - self._tracks["seen_ns"]) * 1e-9
-        allowed_s = np.where(self._tracks["confirmed"], c.coast_s, c.tentative_gap_s)
-        if np.any(unseen_s > allowed_s):
-            self._tracks = self._tracks[unseen_s <= allowed_s]
+        unseen_ns = self._stamp_ns - self._tracks["seen_ns"]
+        allowed_ns = np.where(self._tracks["confirmed"], round(c.coast_s * 1e9), round(c.tentative_gap_s * 1e9))
+        if np.any(unseen_ns > allowed_ns):
+            self._tracks = self._tracks[unseen_ns <= allowed_ns]
 
     def _found(
         self, detections: Detections, free: np.ndarray, position: np.ndarray, size: np.ndarray, yaw: np.ndarray,

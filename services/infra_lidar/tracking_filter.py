@@ -23,6 +23,7 @@ TRACK = np.dtype(
         ("cov", np.float64, (6, 6)),
         ("size", np.float64, 3),  # length, width, height
         ("yaw", np.float64),
+        ("wobble", np.float64),  # by how much the visible extent differs from the size, running mean, metres
         ("votes", np.float64, CLASS_COUNT),
         ("born_ns", np.int64),
         ("seen_ns", np.int64),

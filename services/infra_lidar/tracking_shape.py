@@ -1,10 +1,11 @@
 """What an update changes beside the filter: size, heading, class votes, and whether the track has moved at all.
 
 Movement. The velocity of a filter is never exactly 0, least of all for a bush whose visible part changes with every
-turn. So a track counts as standing, and reports velocity 0, until it has come ``movement_m`` (and more than its own
-position noise, three sigma) away from where it was ``movement_s`` ago, over at least three frames, on a way that is
-straight (net displacement over 60 % of the path) and is no single jump (no step over 60 % of it). Once moving it stays
-so until the displacement falls under half of that.
+turn. So a track counts as standing, and reports velocity 0, until a detection shows that it has come far enough from
+where it was ``movement_s`` ago: farther than ``movement_m`` plus what its visible extent usually differs by, and than
+three sigma of its position, over at least five frames (three if twice as far), on a way that is straight (net
+displacement over 60 % of the path) and no single jump (no step over 60 % of it). Once moving it stays so until the
+displacement falls under half of that.
 """
 
 from __future__ import annotations
@@ -56,6 +57,8 @@ def _follow_size(
     """
     c, s = math.cos(track.yaw), math.sin(track.yaw)
     length, width = extents_along(box, box_yaw, track.yaw)
+    differs = max(abs(length - track.size[0]), abs(width - track.size[1]))
+    track.wobble += max(0.2, 1.0 / track.hits) * (differs - track.wobble)
     along = _resize(track.size, 0, length, c * left_x + s * left_y, gain, visible)
     across = _resize(track.size, 1, width, c * left_y - s * left_x, gain, visible)
     _resize(track.size, 2, box[2], 0.0, gain, visible)
@@ -103,7 +106,7 @@ def judge_movement(tracks: np.ndarray, slot: int, back: int, movement_m: float) 
         track.trail[slot, 0], track.trail[slot, 1] = track.mean[0], track.mean[1]
         steps = min(back, track.frames, TRAIL - 1)
         track.frames += 1
-        if steps < 3:
+        if steps < 3 or track.detection < 0:
             continue
         path = largest = 0.0
         for k in range(steps):
@@ -112,8 +115,9 @@ def judge_movement(tracks: np.ndarray, slot: int, back: int, movement_m: float) 
             path, largest = path + step, max(largest, step)
         then = track.trail[(slot - steps) % TRAIL]
         net = math.hypot(track.mean[0] - then[0], track.mean[1] - then[1])
-        needed = max(movement_m, 3.0 * math.sqrt(max(track.cov[0, 0], track.cov[1, 1])))
+        needed = max(movement_m + track.wobble, 3.0 * math.sqrt(max(track.cov[0, 0], track.cov[1, 1])))
         if track.moving:
             track.moving = net > 0.5 * needed
         else:
-            track.moving = net > needed and net > 0.6 * path and largest < 0.6 * net
+            far = net > needed if steps >= 5 else net > 2.0 * needed
+            track.moving = far and net > 0.6 * path and largest < 0.6 * net
