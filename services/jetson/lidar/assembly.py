@@ -19,6 +19,7 @@ from services.jetson.lidar.parser import POINTS, Packet
 from services.jetson.lidar.timing import MAX_DRIFT, DeviceClock
 
 Piece = tuple[Packet, int, int]  # a packet, and the first and behind-last of its returns that belong
+HALF_TURN_DEG = 180.0
 TOO_LONG = 1.4  # vendor SDK: a revolution with more returns than this times the expected ones has lost its index
 
 
@@ -68,7 +69,11 @@ class ScanAssembler:
         self._notice_gap(packet, device_ms)
         self._span_deg = (packet.end_deg - packet.start_deg) % 360.0
         start_deg = (packet.start_deg - self._index_deg) % 360.0
-        scans = self._close(utc, 0.0) if self._skipped_index(start_deg) else []
+        scans: list[LaserScan] = []
+        if self._skipped_index(start_deg):
+            scans = self._close(utc, POINTS / self._scan.sample_rate_hz)
+            self._synced = self._gap_deg <= HALF_TURN_DEG
+            self._began_ms = device_ms
         turn_deg = start_deg + self._span_deg
         before = POINTS
         if turn_deg >= 360.0:  # the index is inside this packet
@@ -97,10 +102,9 @@ class ScanAssembler:
             self._gap_deg = step_ms * 1e-3 * packet.speed_dps
 
     def _skipped_index(self, start_deg: float) -> bool:
-        """The index lies between the last packet and this one: the angle fell by more than half a turn, or the gap
-        is longer than what was left of the turn."""
-        fell = start_deg < self._last_turn_deg - 180.0
-        return bool(self._pieces) and (fell or self._last_turn_deg + self._gap_deg >= 360.0 + POINTS)
+        """The index lies between the last packet and this one, or so much is missing that it may."""
+        fell = start_deg < self._last_turn_deg - HALF_TURN_DEG
+        return bool(self._pieces) and (fell or self._gap_deg > HALF_TURN_DEG)
 
     def _close(self, utc: int, after_s: float, stalled: bool = False) -> list[LaserScan]:
         """The revolution collected so far as a scan; ``after_s`` is how long ago its last return was."""

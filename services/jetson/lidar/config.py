@@ -108,6 +108,7 @@ class HealthSection(Section, frozen=True, kw_only=True):
     weak_share: Share = 0.4
     sector_share: Share = 0.5
     closed_ring_share: Share = 0.8
+    flank_m: NotNegative = 4.0
 
 
 class LidarConfig(ServiceConfig, frozen=True, kw_only=True):

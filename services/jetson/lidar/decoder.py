@@ -18,16 +18,15 @@ class ScanDecoder:
 
     def __init__(self, config: LidarConfig, report: Report, max_drift: float = MAX_DRIFT) -> None:
         self._config, self._report, self._max_drift = config, report, max_drift
-        self._told: dict[str, int] = {}
-        self._silent_since_s: float | None = None
-        self._bytes = 0
         self.restart()
 
     def restart(self) -> None:
         """Forget the stream so far: the device is a new one."""
         self.parser = Ld06Parser(self._config.scan.sample_rate_hz, self._config.mounting.clockwise)
         self.assembler = ScanAssembler(self._config, self._max_drift)
-        self._told = {}
+        self._told: dict[str, int] = {}
+        self._last_packet_s: float | None = None
+        self._last_byte_s: float | None = None
 
     def feed(self, arrival_ns: int, now_s: float, data: bytes) -> list[LaserScan]:
         """The scans that these bytes complete."""
@@ -37,7 +36,7 @@ class ScanDecoder:
             scan.received_ns = arrival_ns
         if scans:
             self._tell_counts()
-        self._watch(now_s, bool(packets), len(data))
+        self._watch(now_s, bool(packets), bool(data))
         return scans
 
     def wanted_bytes(self) -> int:
@@ -51,16 +50,16 @@ class ScanDecoder:
             (self._report.count if name in NO_FAULT else self._report.bad_input)(name, new)
         self._told = counts
 
-    def _watch(self, now_s: float, alive: bool, received: int) -> None:
-        """Call the device lost when no believable packet has come for a while."""
-        if alive or self._silent_since_s is None:
-            self._silent_since_s, self._bytes = now_s, 0
+    def _watch(self, now_s: float, packets: bool, data: bool) -> None:
+        """Call the device lost when no believable packet has come for a while, and say whether anything has."""
+        if packets or self._last_packet_s is None:
+            self._last_packet_s = now_s
+        if data or self._last_byte_s is None:
+            self._last_byte_s = now_s
+        patience_s = self._config.serial.silence_s
+        if now_s - self._last_packet_s < patience_s:
             return
-        self._bytes += received
-        silent_s = now_s - self._silent_since_s
-        if silent_s < self._config.serial.silence_s:
-            return
-        if self._bytes:
+        if now_s - self._last_byte_s < patience_s:
             self._tell_counts()
             why = "bytes arrive but no LD06 packet is among them: wrong device, baud rate or a bad line"
         else:

@@ -20,32 +20,54 @@ FATES = len(Fate)
 
 @dataclass(frozen=True)
 class Evidence:
-    """How the beams of one or more scans ended."""
+    """How the beams of one or more scans ended. Sectors run from right to left, one more on either side of the cone."""
 
-    cone: np.ndarray  # (sectors, FATES) int counts, sectors from right to left
+    fan: np.ndarray  # (sectors + 2, FATES) int counts
+    reach_m: np.ndarray  # (sectors + 2,) sum of the ranges of what returned
     ring: np.ndarray  # (FATES,) int counts outside the cone
     motor: str  # what the assembler says about the motor; "" = turns
 
+    @property
+    def sectors(self) -> np.ndarray:
+        """(sectors, FATES) int counts inside the cone."""
+        return self.fan[1:-1]
+
+    @property
+    def cone(self) -> np.ndarray:
+        """(FATES,) int counts inside the cone."""
+        return np.asarray(self.sectors.sum(axis=0))
+
     def __add__(self, other: Evidence) -> Evidence:
-        return Evidence(self.cone + other.cone, self.ring + other.ring, self.motor and other.motor)
+        return Evidence(
+            self.fan + other.fan, self.reach_m + other.reach_m, self.ring + other.ring, self.motor and other.motor
+        )
 
 
 def evidence(returns: Returns, fate: np.ndarray, fov_deg: float, sectors: int, motor: str = "") -> Evidence:
     """Count the beams of one scan by sector of the cone and by fate."""
     half_rad = np.radians(fov_deg / 2) + 1e-6
-    inside = np.abs(returns.angle_rad) <= half_rad
-    sector = ((returns.angle_rad[inside] + half_rad) / (2 * half_rad) * sectors).astype(np.int64)
-    counts = np.bincount(np.minimum(sector, sectors - 1) * FATES + fate[inside], minlength=sectors * FATES)
-    return Evidence(counts.reshape(sectors, FATES), np.bincount(fate[~inside], minlength=FATES), motor)
+    sector = np.floor((returns.angle_rad + half_rad) / (2 * half_rad) * sectors).astype(np.int64) + 1
+    ring = (sector < 1) | (sector > sectors)
+    near = (sector >= 0) & (sector <= sectors + 1)
+    counts = np.bincount(sector[near] * FATES + fate[near], minlength=(sectors + 2) * FATES)
+    came_back = near & ((fate == Fate.USED) | (fate == Fate.ISOLATED))
+    reach_m = np.bincount(sector[came_back], weights=returns.range_m[came_back], minlength=sectors + 2)
+    return Evidence(counts.reshape(-1, FATES), reach_m, np.bincount(fate[ring], minlength=FATES), motor)
 
 
 def could_see(seen: Evidence, returns: Returns, fov_deg: float, config: HealthSection) -> bool:
-    """Would this scan have shown an obstacle? Only then may it count towards lowering an alarm."""
-    counts = seen.cone.sum(axis=0)
-    measured = int(counts.sum())
+    """Would this scan have shown an obstacle? Only then may it count towards lowering an alarm: enough of the cone was
+    measured, something came back from it, and most of it was not stopped at the lens."""
+    measured = int(seen.cone.sum())
     expected = np.radians(fov_deg) / returns.step_rad
-    obstructed = counts[[Fate.NEAR, Fate.ECHO_ONLY, Fate.WEAK]].sum()
-    return measured >= config.observed_share * expected and obstructed <= config.observed_share * measured
+    obstructed = seen.cone[[Fate.NEAR, Fate.ECHO_ONLY, Fate.WEAK]].sum()
+    share = config.observed_share
+    return measured >= share * expected and _returned(seen.cone) > 0 and obstructed <= share * measured
+
+
+def covered_by_something_near(seen: Evidence, config: HealthSection) -> bool:
+    """Most of the cone ends at a measured distance below the floor: a thing that has come that near is not gone."""
+    return bool(seen.cone[Fate.NEAR] > config.observed_share * seen.cone.sum())
 
 
 class HealthMonitor:
@@ -87,7 +109,7 @@ class HealthMonitor:
 
 def diagnose(total: Evidence, scans: int, config: HealthSection, filters: FilterSection, fov_deg: float) -> str:
     """The most serious thing wrong with the summed evidence of some scans, as a sentence; "" = nothing."""
-    cone = total.cone.sum(axis=0)
+    cone = total.cone
     measured = int(cone.sum())
     if measured == 0:
         return f"no measurement in the forward cone for {scans} scans: packets are lost"
@@ -124,10 +146,14 @@ def _blind(cone: np.ndarray, ring: np.ndarray, scans: int, config: HealthSection
 
 
 def _sectors(total: Evidence, scans: int, config: HealthSection, fov_deg: float) -> str:
-    """Parts of the cone that see nothing while others do."""
+    """Parts of the cone that see nothing while others do.
+
+    Light that ends at the lens proves a cover. Without light it may be a gap between two things, so the surroundings
+    have to speak: nearly every other beam returns, and what flanks the dark part is so near that a gap would be narrow.
+    """
     width_deg = fov_deg / config.sectors
     closed = _returned(total.ring) >= config.closed_ring_share * max(int(total.ring.sum()), 1)
-    for number, counts in enumerate(total.cone):
+    for number, counts in enumerate(total.sectors):
         measured = int(counts.sum())
         if measured == 0 or _returned(counts):
             continue
@@ -136,12 +162,23 @@ def _sectors(total: Evidence, scans: int, config: HealthSection, fov_deg: float)
         where = f"from {right_deg:+.0f} to {right_deg + width_deg:+.0f} deg"
         if lit >= config.sector_share * measured:
             return f"partly blocked {where}: {_share(lit, measured)} of its beams end at the lens ({scans} scans)"
-        if closed:
+        flank_m = _flank_m(total, number + 1)
+        if closed and flank_m <= config.flank_m:
             return (
-                f"partly open or covered {where}: no return in {scans} scans although "
-                f"{_share(_returned(total.ring), total.ring.sum())} of the beams around return"
+                f"partly open or covered {where}: no return in {scans} scans, things on both sides of it within "
+                f"{flank_m:.1f} m, and {_share(_returned(total.ring), total.ring.sum())} of the beams around return"
             )
     return ""
+
+
+def _flank_m(total: Evidence, place: int) -> float:
+    """How far the farther of the two things on either side of a dark sector of the fan is; infinity = open there."""
+    came_back = total.fan[:, Fate.USED] + total.fan[:, Fate.ISOLATED]
+    lit = np.flatnonzero(came_back)
+    right, left = lit[lit < place], lit[lit > place]
+    if not len(right) or not len(left):
+        return float("inf")
+    return max(float(total.reach_m[side] / came_back[side]) for side in (right[-1], left[0]))
 
 
 def _dirty(cone: np.ndarray, measured: int, scans: int, config: HealthSection, filters: FilterSection) -> str:

@@ -11,8 +11,8 @@ import numpy as np
 
 from common.messages import LaserScan, LidarZone, LidarZones, worst
 from services.jetson.lidar.config import LidarConfig
-from services.jetson.lidar.filters import Fate, judge, returns_of
-from services.jetson.lidar.health import HealthMonitor, could_see, evidence
+from services.jetson.lidar.filters import Fate, Returns, judge, returns_of
+from services.jetson.lidar.health import Evidence, HealthMonitor, could_see, covered_by_something_near, evidence
 from services.jetson.lidar.persistence import LanePersistence
 from services.jetson.lidar.zones import LANES, Measured, level_of, measure
 
@@ -45,22 +45,29 @@ class LidarPipeline:
         # The nearest thing in each lane that enough returns vouch for
         measured = measure(returns, fate == Fate.USED, config.zones)
 
-        # Could this scan see at all, and could the last fifteen?
+        # Could the last fifteen scans see, and could this one?
         seen = evidence(returns, fate, config.zones.fov_deg, config.health.sectors, _motor(scan))
-        sees = could_see(seen, returns, config.zones.fov_deg, config.health)
         reason = self._health.update(stamp_ns, seen)
+        may_clear = self._may_clear(seen, returns, degraded=bool(reason))
 
         # Agree over several scans, in each lane and for each band
-        zones = [self._agree(lane, stamp_ns, one, sees) for lane, one in zip(self._lanes, measured, strict=True)]
+        zones = [self._agree(lane, stamp_ns, one, may_clear) for lane, one in zip(self._lanes, measured, strict=True)]
 
         self.fate = np.empty_like(fate)
         self.fate[returns.order] = fate
         return self._message(stamp_ns, scan, zones, measured, reason)
 
-    def _agree(self, lane: LanePersistence, stamp_ns: int, measured: Measured, sees: bool) -> LidarZone:
-        """The lane after persistence. A scan that could not have seen an obstacle says nothing about its absence."""
+    def _may_clear(self, seen: Evidence, returns: Returns, degraded: bool) -> bool:
+        """A scan that could not have seen an obstacle says nothing about its absence, until the sensor is called
+        degraded; so covering the lens does not end an alarm, and an open field ends it after 1.5 s."""
+        if could_see(seen, returns, self._config.zones.fov_deg, self._config.health):
+            return True
+        return degraded and not covered_by_something_near(seen, self._config.health)
+
+    def _agree(self, lane: LanePersistence, stamp_ns: int, measured: Measured, may_clear: bool) -> LidarZone:
+        """The lane after persistence."""
         raw_m = math.inf if measured.nearest_m is None else measured.nearest_m
-        if measured.nearest_m is not None or sees:
+        if measured.nearest_m is not None or may_clear:
             lane.update(stamp_ns, raw_m)
         level = level_of(lane.agreed_m, self._config.zones)
         if math.isinf(lane.agreed_m):

@@ -40,7 +40,7 @@ def open_source(config: LidarConfig, report: Report) -> Iterator[tuple[int, Lase
         ConfigError: an unknown scheme or parameter, or a file that cannot be read.
     """
     url = parse_source(config.source, {name: tuple(params) for name, params in SCHEMES.items()})
-    decoder = ScanDecoder(config, report, MAX_DRIFT if url.scheme == "serial" else REPLAY_DRIFT)
+    decoder = ScanDecoder(config, report, REPLAY_DRIFT if url.scheme == "file" else MAX_DRIFT)
     for arrival_ns, data in _chunks(url, config, decoder, report):
         for scan in decoder.feed(arrival_ns, monotonic_s(), data):
             yield scan.stamp_ns, scan

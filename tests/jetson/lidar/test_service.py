@@ -1,0 +1,197 @@
+"""The whole service as a real process over real Zenoh: simulated, recorded, and on a serial port that misbehaves."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zenoh
+
+from common import topics
+from common.codec import decode
+from common.config import ZenohConfig
+from common.messages import LaserScan, LidarZones, ServiceStatus
+from common.session import open_session
+from common.sim import ld06
+
+pytestmark = pytest.mark.system
+BUDGET_S = 20.0
+
+
+class Listener:
+    """Everything the lidar said, newest last."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self.zones: list[LidarZones] = []
+        self.scans: list[LaserScan] = []
+        self.status: list[ServiceStatus] = []
+        self._news = threading.Condition()
+        self._subscribers = [
+            session.declare_subscriber(topic.key("jetson0"), self._keep(topic.message, kept))
+            for topic, kept in (
+                (topics.LIDAR_ZONES, self.zones),
+                (topics.LIDAR_SCAN, self.scans),
+                (topics.status_topic("lidar"), self.status),
+            )
+        ]
+
+    def _keep(self, message_type: type, kept: list) -> Callable[[zenoh.Sample], None]:
+        def keep(sample: zenoh.Sample) -> None:
+            with self._news:
+                kept.append(decode(sample.payload.to_bytes(), message_type))
+                self._news.notify_all()
+
+        return keep
+
+    def wait(self, condition: Callable[[], object], budget_s: float = BUDGET_S) -> None:
+        with self._news:
+            happened = self._news.wait_for(condition, budget_s)
+            assert happened, (
+                f"did not happen in time; status {[(s.state, s.reason, s.counters) for s in self.status[-3:]]}"
+            )
+
+    def says(self, state: str, words: str = "") -> Callable[[], bool]:
+        return lambda: bool(self.status) and self.status[-1].state == state and words in self.status[-1].reason
+
+
+@contextmanager
+def lidar(zenoh_config: ZenohConfig, source: str, **popen: object) -> Iterator[tuple[Listener, subprocess.Popen]]:
+    command = [sys.executable, "-m", "services.jetson.lidar", "--source", source]
+    command += ["--set", f'zenoh.connect=["{zenoh_config.connect[0]}"]']
+    with open_session(zenoh_config) as session:
+        listener = Listener(session)
+        process = subprocess.Popen(command, **popen)  # type: ignore[call-overload]
+        try:
+            yield listener, process
+        finally:
+            process.terminate()
+            process.wait(10)
+
+
+class FakeSensor:
+    """A serial line with the simulated LD06 at its far end, reachable under a path as a USB adapter would be."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._stop = threading.Event()
+        self.spoil: Callable[[bytes], bytes] = lambda data: data
+
+    def plug(self, speed: float = 1.0) -> None:
+        self._master, self._slave = os.openpty()
+        self._path.symlink_to(os.ttyname(self._slave))
+        self._stop = threading.Event()
+        self._feeder = threading.Thread(target=self._feed, args=(speed,), daemon=True)
+        self._feeder.start()
+
+    def _feed(self, speed: float) -> None:
+        began_s, sent_s = time.monotonic(), 0.0
+        while not self._stop.wait(0.004):
+            due_s = (time.monotonic() - began_s) * speed
+            os.write(self._master, self.spoil(ld06.packets("empty", sent_s, due_s)))
+            sent_s = due_s
+
+    def unplug(self) -> None:
+        """The node disappears and the line is cut, in the middle of a packet."""
+        self._stop.set()
+        self._feeder.join()
+        os.write(self._master, ld06.packets("empty", 0.0, 0.01)[:70])
+        self._path.unlink()
+        os.close(self._master)
+        os.close(self._slave)
+
+
+@pytest.fixture
+def sensor(tmp_path: Path) -> Iterator[FakeSensor]:
+    sensor = FakeSensor(tmp_path / "ttyLD06")
+    yield sensor
+    if (tmp_path / "ttyLD06").is_symlink():
+        sensor.unplug()
+
+
+def test_simulated_world(zenoh_config: ZenohConfig) -> None:
+    with lidar(zenoh_config, "sim:crossing?t0=4.0") as (heard, process):
+        heard.wait(lambda: any(zones.level == "IMMINENT" for zones in heard.zones))
+        heard.wait(heard.says("online"))
+        process.terminate()
+        assert process.wait(5) == 0
+    levels = [zones.level for zones in heard.zones]
+    assert levels.index("CAUTION") < levels.index("IMMINENT")
+    assert heard.zones[-1].scan_hz > 0.0
+    assert heard.scans[-1].used is not None
+    assert len(heard.scans[-1].angles_rad) == len(heard.scans[-1].used) == 450
+    assert heard.zones[-1].stage_ms["zones"] > 0.0
+
+
+def test_real_turns_as_recorded_bytes(
+    zenoh_config: ZenohConfig, real_turns_m: list[np.ndarray], stream_of: Callable[..., bytes], tmp_path: Path
+) -> None:
+    turn = np.roll(real_turns_m[0], 1)  # the first line is at 1 degree
+
+    def ranges_at(angle_rad: np.ndarray, _: int) -> np.ndarray:
+        return turn[np.round(np.degrees(-angle_rad)).astype(int) % 360]
+
+    recording = tmp_path / "room.ld06"
+    recording.write_bytes(stream_of(ranges_at, turns=8))
+    with lidar(zenoh_config, f"file:{recording}?rate=2") as (heard, process):
+        assert process.wait(BUDGET_S) == 0  # a file ends, and the service with it
+    assert len(heard.zones) >= 6
+    assert {zones.state for zones in heard.zones} == {"online"}
+    degrees = np.arange(-20, 21)
+    ahead_m = turn[degrees % 360] * np.cos(np.radians(degrees))
+    in_centre = np.abs(turn[degrees % 360] * np.sin(np.radians(degrees))) <= 0.1255
+    assert heard.zones[-1].centre.nearest_m == pytest.approx(ahead_m[in_centre].min(), abs=0.01)
+    assert heard.zones[-1].level == "IMMINENT"  # 0.79 m
+
+
+@pytest.mark.slow
+def test_serial_port_comes_late_stumbles_and_comes_back(zenoh_config: ZenohConfig, sensor: FakeSensor) -> None:
+    with lidar(zenoh_config, f"serial:{sensor._path}") as (heard, _):
+        heard.wait(heard.says("disconnected", "does not exist yet"))
+
+        sensor.plug()
+        plugged_s = time.monotonic()
+        heard.wait(heard.says("online"))
+        assert time.monotonic() - plugged_s < 5.0  # 2 s by design; this machine may be busy
+        heard.wait(lambda: len(heard.zones) > 5)
+
+        sensor.spoil = lambda data: bytes(byte ^ 0x40 if n == 60 else byte for n, byte in enumerate(data))
+        heard.wait(lambda: heard.status[-1].counters.get("crc", 0) + heard.status[-1].counters.get("lost_packets", 0))
+        assert heard.status[-1].state == "online"
+
+        sensor.spoil = lambda data: bytes(byte ^ 0xFF for byte in data)
+        heard.wait(heard.says("disconnected", "no LD06 packet"))
+        sensor.spoil = lambda data: b""
+        heard.wait(heard.says("disconnected", "silent"))
+        sensor.spoil = lambda data: data
+        heard.wait(heard.says("online"))
+
+        sensor.unplug()
+        heard.wait(heard.says("disconnected", "gone: unplugged?"))
+        sensor.plug()
+        count = len(heard.zones)
+        heard.wait(heard.says("online"))
+        heard.wait(lambda: len(heard.zones) > count + 3)
+
+
+@pytest.mark.slow
+def test_each_way_of_not_opening_has_its_own_words(
+    zenoh_config: ZenohConfig, sensor: FakeSensor, tmp_path: Path
+) -> None:
+    plain_file = tmp_path / "notes.txt"
+    plain_file.write_text("not a port")
+    with lidar(zenoh_config, f"serial:{plain_file}") as (heard, _):
+        heard.wait(heard.says("disconnected", "no serial port"))
+
+    sensor.plug()
+    with lidar(zenoh_config, f"serial:{sensor._path}") as (first, _):
+        first.wait(first.says("online"))
+        with lidar(zenoh_config, f"serial:{sensor._path}") as (heard, _):
+            heard.wait(heard.says("disconnected", "in use by another process"))
