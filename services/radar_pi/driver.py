@@ -51,7 +51,7 @@ MAX_CURES = 6  # without a frame in between
 class RadarFrame(NamedTuple):
     """One frame from the chip."""
 
-    stamp_ns: int  # UTC of the middle of the sampled interval
+    stamp_ns: int  # UTC of the start of the first chirp
     received_ns: int  # UTC when the frame was complete in memory
     samples: np.ndarray  # (rx, chirp, sample) uint16, 0..4095
     epoch: int  # rises whenever the chip was restarted: what was learned before is void
@@ -250,7 +250,7 @@ class Driver:
         self._last_count = packed.count
         samples = unpack_frame(packed.data, self._layout)
         received_ns = self._clock.utc_ns()
-        age_s = self._clock.monotonic_s() - end_s + self._plan.timing.middle_to_end_s
+        age_s = self._clock.monotonic_s() - end_s + self._plan.timing.first_chirp_to_end_s
         return RadarFrame(received_ns - round(age_s * 1e9), received_ns, samples, self.epoch, self._note())
 
     def _note(self) -> str:

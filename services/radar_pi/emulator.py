@@ -7,6 +7,7 @@ falls. The radar signal comes from a function of (UTC seconds of the first chirp
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -83,16 +84,16 @@ class EmulatedChip:
 
     def wait_irq(self, timeout_s: float) -> bool:
         """The line is high while more words than FIFO_CREF are there; sleeps on the clock until then."""
-        if "stuck_irq" in self.faults:
-            return True
-        if "dead_irq" not in self.faults and "unplugged" not in self.faults:
+        end_s = self._clock.monotonic_s() + timeout_s
+        while not self._irq_high():
+            now_s = self._clock.monotonic_s()
+            if now_s >= end_s:
+                return False
             due_s = self._fifo.fill_exceeds_s(reg.FIFO_CREF.of(self._registers))
-            wait_s = due_s - self._clock.monotonic_s()
-            if wait_s <= timeout_s:
-                self._clock.sleep(max(wait_s, 0.0))
-                return True
-        self._clock.sleep(timeout_s)
-        return False
+            if due_s <= now_s:  # high, were the line not dead
+                due_s = math.inf
+            self._clock.sleep(min(due_s, end_s) - now_s)
+        return True
 
     def close(self) -> None:
         """Nothing to release."""
@@ -124,6 +125,12 @@ class EmulatedChip:
     def heal(self, fault: str) -> None:
         """End a fault that lasts."""
         self.faults.discard(fault)
+
+    def _irq_high(self) -> bool:
+        if self.faults & {"stuck_irq", "dead_irq", "unplugged"}:
+            return "stuck_irq" in self.faults
+        self._fifo.advance(self._clock.monotonic_s())
+        return self._fifo.fill > reg.FIFO_CREF.of(self._registers)
 
     # --- inside -----------------------------------------------------------------------------------------------------
 

@@ -91,9 +91,9 @@ class Timing:
         return self.frame / CLOCK_HZ
 
     @property
-    def middle_to_end_s(self) -> float:
-        """From the middle of the sampled interval of a frame to its last sample."""
-        return ((self.chirps - 1) * self.chirp + self.samples * self.adc_divider) / 2 / CLOCK_HZ
+    def first_chirp_to_end_s(self) -> float:
+        """From the start of a frame's first chirp to the end of its last sample."""
+        return (self.last_sample - self.first_chirp) / CLOCK_HZ
 
 
 def register_list(waveform: WaveformConfig) -> Registers:
