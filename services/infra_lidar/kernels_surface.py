@@ -7,6 +7,10 @@ import numpy as np
 from services.infra_lidar.jit import kernel
 
 
+STEP_UP_M = np.float32(0.15)  # a kerb; a cell this far above what was expected is a thing on the road
+STEP_DOWN_M = np.float32(0.40)  # lower is more believable: nothing lies under a road
+
+
 @kernel
 def flat_surface(height, ring_m, base, slope, limit, max_step, surface, accepted):  # type: ignore[no-untyped-def]
     """The article's rule: the cell's own height if it is near the calibration plane, else the plane.
@@ -38,9 +42,10 @@ def sloped_surface(height, ring_m, base, slope, limit, max_step, surface, accept
         distance = (r + np.float32(0.5)) * ring_m
         allowed = min(base + slope * distance, limit)
         for s in range(sectors):
-            expected, rise, known = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+            expected, rise, known = np.float32(0.0), np.float32(0.0), np.float32(1.0)  # at the foot: calibrated
             if r > 0:
                 weights = np.float32(1e-6)
+                known *= np.float32(1e-6)
                 for ds in range(-1, 2):
                     n = (s + ds) % sectors
                     w = trust[r - 1, n] * np.float32(2.0 if ds == 0 else 1.0) + np.float32(1e-6)
@@ -50,8 +55,8 @@ def sloped_surface(height, ring_m, base, slope, limit, max_step, surface, accept
                     weights += w
                 expected, rise, known = expected / weights, rise / weights, known / weights
             h = height[r, s]
-            tolerance = np.float32(0.1) + max_step * ring_m * (np.float32(2.0) - known)
-            good = abs(h) <= allowed and (r == 0 or abs(h - expected) <= tolerance)
+            slack = max_step * ring_m * (np.float32(1.0) - known)
+            good = (abs(h) <= allowed) & (h - expected <= STEP_UP_M + slack) & (expected - h <= STEP_DOWN_M + slack)
             accepted[r, s] = good
             if good:
                 filled[r, s] = h
