@@ -36,7 +36,7 @@ def yard_and_street() -> Scene:
         facade((-14.0, -30.0), (9.0, -30.0), 12.0, rng),
     ]
     street += [post(9.2, y, 0.0, 6.0) for y in (12.0, 36.0, 60.0)]
-    street += [post(19.2, y, 0.0, 2.4, 0.04) for y in (3.0, 27.0)]
+    street += [post(18.5, y, 0.0, 2.4, 0.04) for y in (3.0, 27.0)]
     street += [tree(20.5, y, 0.0, 6.5 + 0.3 * i, rng) for i, y in enumerate((-6.0, 9.0, 21.0, 38.0, 55.0))]
     return Scene(Ground(), join(walls + furniture + street), Mount(x_m=8.6, y_m=-8.0, yaw_rad=NORTH))
 
@@ -71,10 +71,11 @@ def street_traffic() -> list[Player]:
     cast += _stream(30, "bus", lane_x_m=15.7, yaw_rad=NORTH, speed_mps=8.0, first_y_m=-45.0)
     cast += _stream(40, "cyclist", lane_x_m=17.6, yaw_rad=NORTH, speed_mps=4.6, first_y_m=-30.0)
     cast += _stream(50, "cyclist", lane_x_m=10.4, yaw_rad=SOUTH, speed_mps=5.2, first_y_m=20.0)
-    walks = [((19.6, 6.0), 1.0, 0.0), ((19.9, 14.0), -1.0, 0.3), ((8.9, 8.0), 1.0, 0.6), ((19.5, 26.0), 1.0, 0.1)]
-    for i, (centre, turn, phase) in enumerate(walks):
-        strip = ellipse(centre, (0.35, 4.7), turn)  # 19 m round, on a narrow pavement
-        cast.append(Player(60 + i, "pedestrian", Circuit(strip, LENGTH_S, 1, phase)))
+    for i, (y, turn, phase) in enumerate(((6.0, 1.0, 0.0), (14.5, -1.0, 0.3), (27.0, 1.0, 0.1))):
+        round_the_tree = ellipse((20.4, y), (1.5, 4.2), turn)  # 20 m
+        cast.append(Player(60 + i, "pedestrian", Circuit(round_the_tree, LENGTH_S, 1, phase)))
+    there, again = line((8.6, 3.0), (8.6, 12.0)), line((8.6, 12.0), (8.6, 3.0))
+    cast.append(Player(65, "pedestrian", Errand((Ride(there, 0.5, 1.45), Ride(again, 8.0, 1.45)), LENGTH_S)))
     across = Ride(line((9.2, 18.0), (18.6, 18.0)), 1.0, 1.9, 1.5)
     back = Ride(line((18.6, 18.0), (9.2, 18.0)), 8.3, 1.9, 1.5)
     return [*cast, Player(70, "pedestrian", Errand((across, back), LENGTH_S))]
@@ -85,12 +86,12 @@ def _stream(
 ) -> list[Player]:
     """Vehicles one loop apart, so that at the loop's end each stands where the next began.
 
-    The identity moves on by one there; beyond the street's ends (about 100 m) nobody is.
+    The identity moves on by one there; beyond the street's ends (95 m) nobody is.
     """
     gap_m = speed_mps * LENGTH_S
     ahead = 1.0 if yaw_rad > 0 else -1.0
     starts = [first_y_m + k * gap_m * ahead for k in range(-3, 4)]
-    seen = [y for y in starts if -110.0 < y + ahead * gap_m / 2 < 110.0]
+    seen = [y for y in starts if max(y, y + ahead * gap_m) > -95.0 and min(y, y + ahead * gap_m) < 95.0]
     return [
         Player(first_id + i, kind, Straight((lane_x_m, y), yaw_rad, speed_mps, LENGTH_S)) for i, y in enumerate(seen)
     ]

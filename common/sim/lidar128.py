@@ -78,12 +78,12 @@ def cast_scan(world: WorldState, columns: int, seed: np.uint64) -> Scan:
     range_m = np.empty((columns, RINGS), np.float32)
     hit = np.empty((columns, RINGS), np.int32)
     _hit_ground(rays, T[:3, :3], origin, ground, MAX_RANGE_M, range_m, hit)
-    solids = world.solids.near(origin, MAX_RANGE_M)
-    windows = _windows(solids, invert(T), azimuth)
+    solids = _near_to_far(world.solids, origin)
+    windows, clear_m = _windows(solids, invert(T), azimuth)
     to_unit = solids.to_unit @ T[:3, :3]  # takes sensor directions
     start = np.einsum("pij,pj->pi", solids.to_unit, origin - solids.centre_m)
     drift = np.einsum("pij,pj->pi", solids.to_unit, solids.velocity_mps)
-    _hit_solids(rays, column_s, solids.shape, start, drift, to_unit, windows, range_m, hit)
+    _hit_solids(rays, column_s, solids.shape, start, drift, to_unit, windows, clear_m, range_m, hit)
     reflectivity = np.append(REFLECTIVITY[solids.part], _GROUND_REFLECTIVITY).astype(np.float32)
     count, measured, intensity, rows = _measure(range_m, hit, reflectivity, MAX_RANGE_M, seed)
     return _collect(solids, rays, column_s, hit, measured[:count], intensity[:count], rows[:count])
@@ -132,10 +132,19 @@ def directions(columns: int) -> np.ndarray:
     return rays
 
 
-def _windows(solids: Solids, T_sensor_map: np.ndarray, azimuth_rad: np.ndarray) -> np.ndarray:
-    """(P, 4) int: first column, number of columns, first ring, last ring + 1 that can see each solid's ball.
+def _near_to_far(solids: Solids, origin_m: np.ndarray) -> Solids:
+    """Those in range, the nearest first: what they hide is then skipped at once."""
+    clear_m = np.linalg.norm(solids.centre_m - origin_m, axis=1) - solids.radius_m
+    order = np.argsort(clear_m, kind="stable")
+    return solids.take(order[clear_m[order] <= MAX_RANGE_M])
 
-    The ball grows by the way the solid moves during half a turn. Columns count on modulo all columns.
+
+def _windows(solids: Solids, T_sensor_map: np.ndarray, azimuth_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which rays can hit each solid: those through the ball that holds it during the whole turn.
+
+    Returns:
+        windows (P, 4) int64: first column, number of columns (they count on modulo all), first ring, last ring + 1;
+        clear_m (P,) float64: no hit is nearer.
     """
     place = solids.centre_m @ T_sensor_map[:3, :3].T + T_sensor_map[:3, 3]
     radius = solids.radius_m + 0.5 * TURN_S * np.linalg.norm(solids.velocity_mps, axis=1) + 0.01
@@ -151,7 +160,7 @@ def _windows(solids: Solids, T_sensor_map: np.ndarray, azimuth_rad: np.ndarray) 
     spread = np.where(distance <= radius, np.pi, np.arcsin(np.minimum(1.0, radius / np.maximum(distance, 1e-9))))
     low = np.searchsorted(ELEVATION_RAD, up - spread)
     high = np.searchsorted(ELEVATION_RAD, up + spread)
-    return np.column_stack([first % columns, count, low, high]).astype(np.int64)
+    return np.column_stack([first % columns, count, low, high]).astype(np.int64), distance - radius
 
 
 @_kernel
@@ -190,7 +199,7 @@ def _noise(seed, ray):  # type: ignore[no-untyped-def]
 
 
 @_kernel
-def _enter(shape, o, d):  # type: ignore[no-untyped-def]
+def _interval(shape, o, d):  # type: ignore[no-untyped-def]
     """Where the ray o + t d enters and leaves a unit shape; enter > leave when it misses."""
     enter, leave = -np.inf, np.inf
     if shape != 2:  # sphere, cylinder, foliage: the round part
@@ -216,9 +225,18 @@ def _enter(shape, o, d):  # type: ignore[no-untyped-def]
 
 
 @_kernel
-def _hit_solids(rays, column_s, shape, start, drift, to_unit, windows, range_m, hit):  # type: ignore[no-untyped-def]
+def _range_to(shape, o, d, luck):  # type: ignore[no-untyped-def]
+    """Range at which the ray hits the unit shape, inf when it misses. Leaves are hit somewhere inside or not at all."""
+    enter, leave = _interval(shape, o, d)
+    if shape == 3:
+        enter += 1.6 * luck * (leave - enter)
+    return enter if 0.0 < enter <= leave else np.inf
+
+
+@_kernel
+def _hit_solids(rays, column_s, shape, start, drift, to_unit, windows, clear_m, range_m, hit):  # type: ignore[no-untyped-def]
     """Lower ``range_m`` where a solid is nearer and note its index in ``hit``."""
-    columns = rays.shape[0]
+    columns, luck = rays.shape[0], 0.0
     o, d = np.empty(3), np.empty(3)
     for solid in range(shape.shape[0]):
         m = to_unit[solid]
@@ -227,19 +245,16 @@ def _hit_solids(rays, column_s, shape, start, drift, to_unit, windows, range_m, 
             for i in range(3):
                 o[i] = start[solid, i] - drift[solid, i] * column_s[column]
             for ring in range(windows[solid, 2], windows[solid, 3]):
+                if range_m[column, ring] <= clear_m[solid]:
+                    continue
                 x, y, z = rays[column, ring, 0], rays[column, ring, 1], rays[column, ring, 2]
                 for i in range(3):
                     d[i] = m[i, 0] * x + m[i, 1] * y + m[i, 2] * z
-                enter, leave = _enter(shape[solid], o, d)
-                if enter > leave or enter <= 0.0:
-                    continue
-                if shape[solid] == 3:  # leaves: hit at a depth that this ray always meets, or not at all
-                    depth = np.float64(_noise(np.uint64(solid), column * 128 + ring) >> np.uint64(40)) / 2.0**24
-                    enter += 1.6 * depth * (leave - enter)
-                    if enter > leave:
-                        continue
-                if enter < range_m[column, ring]:
-                    range_m[column, ring] = enter
+                if shape[solid] == 3:  # the same leaves for the same ray in every turn
+                    luck = np.float64(_noise(np.uint64(solid), column * 128 + ring) >> np.uint64(40)) / 2.0**24
+                distance = _range_to(shape[solid], o, d, luck)
+                if distance < range_m[column, ring]:
+                    range_m[column, ring] = distance
                     hit[column, ring] = solid
 
 

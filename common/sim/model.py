@@ -23,7 +23,6 @@ FAULTS = (
     "radar_unplugged",
 )
 
-_BODY_REACH_M = 7.0  # no part of a body is farther from its foot
 _LIMB_STEP_S = 1e-3  # over which the velocity of legs, arms and cranks is taken
 
 
@@ -46,6 +45,11 @@ class Actor:
     @property
     def T_map_body(self) -> np.ndarray:
         return pose_2d(self.position_m[0], self.position_m[1], self.yaw_rad, self.position_m[2])
+
+    @property
+    def reach_m(self) -> float:
+        """No part of the body is farther from its foot in the plane (a swung arm included)."""
+        return 0.5 * math.hypot(self.size_m[0], self.size_m[1]) + 0.3
 
     @cached_property
     def solids(self) -> Solids:
@@ -83,14 +87,20 @@ class WorldState:
         return join([self.scene.fixtures, *(actor.solids for actor in self.actors)])
 
     def solids_near(self, point_m: np.ndarray, within_m: float, limbs: bool = False) -> Solids:
-        """Those with a part within ``within_m`` of a point, map frame; bodies far away are not even built.
+        """Those that may have a part within ``within_m`` of a point, map frame; bodies far away are not even built.
 
         With ``limbs``, arms and legs carry their own velocity.
         """
-        reach_m = within_m + _BODY_REACH_M
-        close = [a for a in self.actors if math.dist(a.position_m[:2], point_m[:2]) < reach_m]
+        close = [a for a in self.actors if math.dist(a.position_m[:2], point_m[:2]) < within_m + a.reach_m]
         bodies = [actor.swinging_solids if limbs else actor.solids for actor in close]
-        return join([self.scene.fixtures, *bodies]).near(point_m, within_m)
+        x, y, z = point_m.tolist()
+        return join([fixtures_near(self.scene, (x, y, z), within_m), *bodies])
+
+
+@lru_cache(maxsize=64)
+def fixtures_near(scene: Scene, point_m: tuple[float, float, float], within_m: float) -> Solids:
+    """The fixtures near a place where a sensor stands; kept, because they stand still."""
+    return scene.fixtures.near(np.array(point_m), within_m)
 
 
 @dataclass(frozen=True)
