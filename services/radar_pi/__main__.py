@@ -25,9 +25,9 @@ def run(config: RadarConfig) -> bool:
         publish_tracks = service.publisher(RADAR_TRACKS)
         publish_detections = service.publisher(RADAR_DETECTIONS)
         ego = EgoSpeed(service.latest(EGO_MOTION, EgoMotion, "*"))
-        for stamp_ns, received_ns, frame in open_source(config, service.report):
-            tracks = pipeline.process(stamp_ns, frame, ego.now_mps())
-            tracks.received_ns = received_ns
+        for frame in open_source(config, service.report):
+            tracks = pipeline.process(frame.stamp_ns, frame.samples, ego.now_mps(), frame.epoch, frame.note)
+            tracks.received_ns = frame.received_ns
             publish_tracks(tracks)
             if publish_detections.wanted:
                 publish_detections(pipeline.detections())

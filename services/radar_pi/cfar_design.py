@@ -32,7 +32,11 @@ def os_p_fa(scale: float, rank: int, cells: int, looks: int = 1) -> float:
 
 def os_scale(p_fa: float, rank: int, cells: int, looks: int = 1) -> float:
     """Factor on the order statistic for a false alarm probability."""
-    return float(brentq(lambda scale: np.log(os_p_fa(scale, rank, cells, looks) / p_fa), 0.01, 1000.0, xtol=1e-4))
+
+    def log_ratio(scale: float) -> float:
+        return float(np.log(max(os_p_fa(scale, rank, cells, looks), 1e-300) / p_fa))
+
+    return float(brentq(log_ratio, 0.01, 1000.0, xtol=1e-4))
 
 
 def os_mean_ratio(rank: int, cells: int, looks: int = 1) -> float:

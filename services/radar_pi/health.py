@@ -69,10 +69,12 @@ class HealthMonitor:
         self._leakage = Learned(config.leakage_db, config.learn_frames, config.clutter_db, config.hold_frames)
         self._saturated = 0
 
-    def judge(self, frames_to_settle: int, saturated: float, noise_floor_db: float, leakage_db: float) -> Health:
-        """State and reason of this frame. While settling nothing is learned."""
+    def judge(
+        self, frames_to_settle: int, saturated: float, noise_floor_db: float, leakage_db: float, note: str = ""
+    ) -> Health:
+        """State and reason of this frame. While settling nothing is learned. ``note`` is the driver's."""
         self._saturated = self._saturated + 1 if saturated > self._config.saturated_fraction else 0
-        reasons = []
+        reasons = [note] if note else []
         if frames_to_settle:
             reasons.append(f"settling: {frames_to_settle} frames to go")
         else:

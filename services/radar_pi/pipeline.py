@@ -24,7 +24,7 @@ from services.radar_pi.spectrum import RangeDoppler, mean_power
 from services.radar_pi.tracking import Track, Tracker
 
 FRAME_ID = "radar"
-GAP_PERIODS = 5  # without frames for so long the chip was restarted: its phase, and the background, have changed
+GAP_PERIODS = 5
 
 
 class RadarPipeline:
@@ -44,6 +44,7 @@ class RadarPipeline:
         self.health = HealthMonitor(config.health)
         self._shape = (len(receivers), config.waveform.chirps, config.waveform.samples)
         self._stamp_ns: int | None = None
+        self._epoch = 0
         self._power: np.ndarray | None = None
         self._detections: list[Detection] = []
         self._result: RadarTracks | None = None
@@ -53,19 +54,23 @@ class RadarPipeline:
         self.clutter.reset()
         self.tracker.tracks.clear()
 
-    def process(self, stamp_ns: int, frame: np.ndarray, ego_speed_mps: float | None = None) -> RadarTracks:
+    def process(
+        self, stamp_ns: int, frame: np.ndarray, ego_speed_mps: float | None = None, epoch: int = 0, note: str = ""
+    ) -> RadarTracks:
         """One frame of ADC samples to the tracks of that moment.
 
         Args:
             stamp_ns: UTC ns of the frame's first chirp.
             frame: (rx, chirp, sample) 12-bit ADC samples.
             ego_speed_mps: forward speed of the vehicle, None = unknown.
+            epoch: rises whenever the chip was restarted; what was learned before is void then.
+            note: what the driver says is wrong with the link although frames arrive.
 
         Raises:
             ValueError: the frame's shape is not the waveform's.
         """
         started = perf_counter()
-        self._reset_after_gap(stamp_ns)
+        self._reset_after_restart(stamp_ns, epoch)
         # 1. window and range FFT: beat frequency is range
         profiles = self.transform.profiles(frame)
         # 2. moving target indication: take away what stands still
@@ -82,7 +87,7 @@ class RadarPipeline:
         # 6. can the radar see at all?
         floor_db = noise_floor_db(self.row_noise.estimate(power[self.axes.near_bin :]))
         health = self.health.judge(
-            self.clutter.frames_to_settle, saturated_fraction(frame), floor_db, self._leakage_db()
+            self.clutter.frames_to_settle, saturated_fraction(frame), floor_db, self._leakage_db(), note
         )
         # 7. what each track means
         reports = [self._report(track, stamp_ns, ego_speed_mps) for track in tracks]
@@ -134,11 +139,13 @@ class RadarPipeline:
             velocity_axis_mps=self.axes.velocity_mps.astype(np.float32),
         )
 
-    def _reset_after_gap(self, stamp_ns: int) -> None:
+    def _reset_after_restart(self, stamp_ns: int, epoch: int) -> None:
+        """After a restart or a long gap the echo's phase has changed, and with it the background."""
         limit_ns = GAP_PERIODS * self.config.waveform.frame_period_s * 1e9
-        if self._stamp_ns is not None and not 0 <= stamp_ns - self._stamp_ns <= limit_ns:
+        gap = self._stamp_ns is not None and not 0 <= stamp_ns - self._stamp_ns <= limit_ns
+        if gap or epoch != self._epoch:
             self.reset()
-        self._stamp_ns = stamp_ns
+        self._stamp_ns, self._epoch = stamp_ns, epoch
 
     def _detect(self, power: np.ndarray, spectrum: np.ndarray) -> list[Detection]:
         """CFAR, peaks, physical values, bodies."""

@@ -1,7 +1,7 @@
 """Where frames come from: the chip, a recording or the simulated world. The only file that opens a device or waits.
 
-Every source yields ``(stamp_ns, received_ns, frame)``: UTC of the middle of the measurement, UTC when the frame was
-complete, and (rx, chirp, sample) ADC samples.
+Every source yields ``RadarFrame``: UTC of the first chirp, UTC when the frame was complete, (rx, chirp, sample) ADC
+samples, an epoch that rises when the chip was restarted, and what is wrong with the link.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
-import numpy as np
 
 from common.clock import monotonic_s, utc_ns
 from common.config import ConfigError
@@ -24,13 +23,15 @@ from common.status import Report
 from common.topics import EGO_MOTION
 from services.radar_pi.axes import derive_axes
 from services.radar_pi.config import RadarConfig, WaveformConfig
+from services.radar_pi.driver import RadarFrame
 from services.radar_pi.exports import plan
 from services.radar_pi.parser import RecordingError
 from services.radar_pi.recording import Recording, open_recording
+from services.radar_pi.spi_source import open_spi
 
 SCHEMES: dict[str, tuple[str, ...]] = {"sim": ("t0",), "file": ("rate", "loop"), "spi": ()}
 
-Frames = Iterator[tuple[int, int, np.ndarray]]
+Frames = Iterator[RadarFrame]
 
 
 def with_waveform_of_source(config: RadarConfig) -> RadarConfig:
@@ -57,9 +58,7 @@ def open_source(config: RadarConfig, report: Report) -> Frames:
     if url.scheme == "file":
         return _replay(_recording(url), url.number("rate", 1.0), loop=url.flag("loop"))
     if url.scheme == "spi":
-        from services.radar_pi.link import open_spi  # the driver's libraries are an extra of their own
-
-        return open_spi(config, report)
+        return open_spi(url.target, config, report)
     if url.target not in world.SCENARIOS:
         raise ConfigError(f"source {url}: no such scenario; known: {', '.join(world.SCENARIOS)}")
     return _simulate(url, config.waveform, report)
@@ -100,7 +99,7 @@ def _replay(recording: Recording, rate: float, *, loop: bool) -> Frames:
             if rate > 0:
                 due_ns = round(due_ns / rate)
                 time.sleep(max(0.0, start_s + due_ns * 1e-9 - monotonic_s()))
-            yield start_ns + due_ns, utc_ns(), frame
+            yield RadarFrame(start_ns + due_ns, utc_ns(), frame, epoch=turn, note="")
         if not loop:
             return
         turn += 1
@@ -108,8 +107,30 @@ def _replay(recording: Recording, rate: float, *, loop: bool) -> Frames:
 
 def _simulate(url: SourceUrl, waveform: WaveformConfig, report: Report) -> Frames:
     """The simulated world through the radar's eyes, at the waveform's frame rate; frames that came late are skipped."""
+    sampled = simulator_waveform(waveform)
+    t0_s = url.number("t0", 0.0) if "t0" in url.params else None
+    start_s, start_ns = monotonic_s(), utc_ns()
+    number = 0
+    while True:
+        due_s = number * waveform.frame_period_s
+        time.sleep(max(0.0, start_s + due_s - monotonic_s()))
+        stamp_ns = start_ns + round(due_s * 1e9)
+        try:
+            frame = bgt60.frame(url.target, world.scenario_time(url.target, stamp_ns, t0_s, start_ns), sampled)
+            yield RadarFrame(stamp_ns, utc_ns(), frame, epoch=0, note="")
+        except DeviceUnplugged as error:
+            report.state("disconnected", f"{error}: check the plug; trying again")
+        except TimeoutError as error:
+            report.state("disconnected", f"{error}: restarting the chip")
+        behind = int((monotonic_s() - start_s) / waveform.frame_period_s) - number
+        report.dropped(max(0, behind - 1))
+        number += max(1, behind)
+
+
+def simulator_waveform(waveform: WaveformConfig) -> bgt60.Waveform:
+    """The part of the waveform that is sampled, as the simulator wants it."""
     axes = derive_axes(waveform)
-    sampled = bgt60.Waveform(
+    return bgt60.Waveform(
         start_frequency_hz=axes.first_sample_hz,
         sampled_bandwidth_hz=axes.sampled_bandwidth_hz,
         samples=waveform.samples,
@@ -120,20 +141,3 @@ def _simulate(url: SourceUrl, waveform: WaveformConfig, report: Report) -> Frame
         hp_cutoff_hz=waveform.hp_cutoff_hz,
         lp_cutoff_hz=waveform.lp_cutoff_hz,
     )
-    t0_s = url.number("t0", 0.0) if "t0" in url.params else None
-    start_s, start_ns = monotonic_s(), utc_ns()
-    number = 0
-    while True:
-        due_s = number * waveform.frame_period_s
-        time.sleep(max(0.0, start_s + due_s - monotonic_s()))
-        stamp_ns = start_ns + round(due_s * 1e9)
-        try:
-            frame = bgt60.frame(url.target, world.scenario_time(url.target, stamp_ns, t0_s, start_ns), sampled)
-            yield stamp_ns, utc_ns(), frame
-        except DeviceUnplugged as error:
-            report.state("disconnected", f"{error}: check the plug; trying again")
-        except TimeoutError as error:
-            report.state("disconnected", f"{error}: restarting the chip")
-        behind = int((monotonic_s() - start_s) / waveform.frame_period_s) - number
-        report.dropped(max(0, behind - 1))
-        number += max(1, behind)

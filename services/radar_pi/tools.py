@@ -58,8 +58,10 @@ def plot_frames(config: RadarConfig, path: Path, frames: int) -> None:
     """Process so many frames of the source and draw the last one with the tracks' past."""
     config = with_waveform_of_source(config)
     pipeline = RadarPipeline(config)
+    source = open_source(config, Report("plot"))
     history = [
-        pipeline.process(stamp_ns, frame) for stamp_ns, _, frame in islice(open_source(config, Report("plot")), frames)
+        pipeline.process(frame.stamp_ns, frame.samples, None, frame.epoch, frame.note)
+        for frame in islice(source, frames)
     ]
     draw(path, pipeline.detections(), history)
 
@@ -68,5 +70,5 @@ def record_frames(config: RadarConfig, path: Path, frames: int) -> None:
     """Write so many frames of the source to a file; what is written stays readable when this is interrupted."""
     config = with_waveform_of_source(config)
     with Recorder(path, config.waveform) as recorder:
-        for capture in islice(open_source(config, Report("record")), frames):
-            recorder.write(*capture)
+        for frame in islice(open_source(config, Report("record")), frames):
+            recorder.write(frame.stamp_ns, frame.received_ns, frame.samples)
