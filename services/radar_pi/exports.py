@@ -49,7 +49,7 @@ def plan(waveform: WaveformConfig) -> Plan:
     """
     settings = read_settings(Path(waveform.settings_file)) if waveform.settings_file else waveform
     if not waveform.register_file:
-        return _plan(wave.register_list(settings))
+        return _plan(wave.register_list(settings), waveform)
     if not waveform.settings_file:
         raise ConfigError(
             "[waveform] register_file needs settings_file as well: the two are checked against each other"
@@ -59,7 +59,7 @@ def plan(waveform: WaveformConfig) -> Plan:
     if differences:
         pair = f"{waveform.register_file} does not match {waveform.settings_file}"
         raise ConfigError(f"{pair}: {'; '.join(differences)}")
-    return _plan(registers)
+    return _plan(registers, waveform)
 
 
 def parse_registers(text: str, origin: str = "registers") -> Registers:
@@ -118,8 +118,11 @@ def mismatches(registers: Mapping[int, int], settings: WaveformConfig) -> list[s
     ]
 
 
-def _plan(registers: Registers) -> Plan:
-    return Plan(registers, wave.waveform_of(registers), wave.timing_of(registers))
+def _plan(registers: Registers, asked: WaveformConfig) -> Plan:
+    """The waveform keeps its files, so that planning what was planned gives the same."""
+    files = {"register_file": asked.register_file, "settings_file": asked.settings_file}
+    done = msgspec.structs.replace(wave.waveform_of(registers), **files)
+    return Plan(registers, done, wave.timing_of(registers))
 
 
 def _flat(document: Mapping[str, Any]) -> dict[str, Any]:

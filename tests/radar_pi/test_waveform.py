@@ -272,6 +272,7 @@ def test_exports_are_loaded_and_win_over_the_keys(export: Export, tmp_path: Path
     assert loaded.registers == export.by_address
     assert loaded.waveform.samples == export.settings.samples
     assert loaded.timing.chirps == export.settings.chirps
+    assert plan(loaded.waveform) == loaded
 
 
 def test_settings_alone_are_compiled(export: Export, tmp_path: Path) -> None:
