@@ -98,6 +98,7 @@ class Bench:
         self.verdict: Verdict | None = None
         self.health: SystemHealth | None = None
         self.refused: dict[str, str] = {}
+        self.delivered_s = dict.fromkeys(HOSTS, self.now_s)  # when each last sent a message in good time
 
     @property
     def now_ns(self) -> int:
@@ -141,6 +142,8 @@ class Bench:
         for name in HOSTS:
             if step % 2 == 0 and name in alive and name not in self.silent:
                 self.receive(self.key(name), self.message(name))
+                if self.delay_s[name] < 0.5:
+                    self.delivered_s[name] = self.now_s
         samples = []
         if step % 10 == 0 and self.answers_clock:
             samples = [
@@ -176,6 +179,12 @@ class Bench:
             assert self.now_s - start_s < limit_s + TICK_S / 2, f"not within {limit_s} s: {self.health} {self.verdict}"
             self.tick()
         return self.now_s - start_s
+
+    def is_dead(self, name: str) -> bool:
+        """No process, no link, or nothing sent in good time for longer than the topic's limit."""
+        alive = any(service == name for _, service, _ in self.instances)
+        limit_s = 1.0 if name == "camera" else 0.5
+        return self.isolated or not alive or self.now_s - self.delivered_s[name] > limit_s
 
     def sensor(self, name: str) -> SensorHealth:
         assert self.health is not None
