@@ -13,12 +13,14 @@ import numpy as np
 
 from services.infra_lidar import kernels_clusters as clusters
 from services.infra_lidar import kernels_labels as labels
+from services.infra_lidar import kernels_merge as merging
 from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.ground import Levelled
 
 TALL_BAND_M = 0.4  # a component with points in the top of the body band goes on above it
 TALL_SHARE = 0.03
+MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by
 
 
 @dataclass(frozen=True)
@@ -65,8 +67,13 @@ class Clustering:
         label, components = self._components(x, y, low)
         if self._config.body_height_m > 0:
             self._join_high(label, above, low, components)
+            components = self._label_high(x, y, label, low, components)
         offsets, order, count = self._group(label, components)
         box = self._measure(x, y, z, above, order, offsets)
+        if self._config.merge:
+            components = self._merge(label, box, np.diff(offsets))
+            offsets, order, count = self._group(label, components)
+            box = self._measure(x, y, z, above, order, offsets)
         keep = self._valid(box, np.diff(offsets))
         clusters.renumber(label, keep)
         kept = int(keep.max()) + 1 if len(keep) else 0
@@ -87,10 +94,10 @@ class Clustering:
         )  # fmt: skip
         return x, y, z, above, source, low
 
-    def _components(self, x: np.ndarray, y: np.ndarray, low: int) -> tuple[np.ndarray, int]:
+    def _components(self, x: np.ndarray, y: np.ndarray, low: int, name: str = "label") -> tuple[np.ndarray, int]:
         """Component of every candidate: the cells are filled by the first ``low`` of them."""
         config, m, take = self._config, len(x), self._buffers.take
-        row, column, label = take("row", m, np.int32), take("column", m, np.int32), take("label", m, np.int32)
+        row, column, label = take("row", m, np.int32), take("column", m, np.int32), take(name, m, np.int32)
         zero = np.float32(0.0)
         cell, growth = np.float32(config.cell_m), np.float32(config.cell_growth_m)
         labels.grid_cells(x, y, zero, zero, cell, growth, self.side, row, column)
@@ -113,6 +120,23 @@ class Clustering:
             TALL_SHARE, in_band, total, tall,
         )  # fmt: skip
         clusters.drop_high_of_low(label, low, tall)
+
+    def _label_high(self, x: np.ndarray, y: np.ndarray, label: np.ndarray, low: int, components: int) -> int:
+        """Components among the high points that joined nothing: a roof behind other cars, or a canopy."""
+        free = low + np.flatnonzero(label[low:] < 0)
+        if not len(free):
+            return components
+        high, found = self._components(x[free], y[free], len(free), "label_high")
+        label[free] = np.where(high >= 0, high + components, -1)
+        return components + found
+
+    def _merge(self, label: np.ndarray, box: np.ndarray, counts: np.ndarray) -> int:
+        """Join fragments of vehicles; returns the number of components that are left."""
+        group = np.empty(len(counts), np.int32)
+        merging.merge_fragments(box, counts, MIN_FRAGMENT_POINTS, group)
+        first, number = np.unique(group, return_inverse=True)
+        clusters.renumber(label, number.astype(np.int32))
+        return len(first)
 
     def _group(self, label: np.ndarray, components: int) -> tuple[np.ndarray, np.ndarray, int]:
         offsets = np.zeros(components + 1, np.int64)

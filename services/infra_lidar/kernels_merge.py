@@ -1,0 +1,155 @@
+"""Compiled merging of fragments: what is left of a vehicle behind others falls into pieces that belong together.
+
+Pieces are joined in the order of the gap between them, as long as the group still fits one vehicle: a small one, or a
+large one if it is tall. A wider gap is bridged along the vehicle only. A piece that looks like a person is left alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.infra_lidar.jit import inline, kernel
+
+SMALL_LENGTH_M, SMALL_WIDTH_M, SMALL_TOP_M = 5.3, 2.2, 2.2
+LARGE_LENGTH_M, LARGE_WIDTH_M, LARGE_TOP_M = 14.0, 3.3, 4.5
+TOUCH_M = 0.35  # up to this gap pieces may meet at any angle (the corner of a vehicle)
+SMALL_GAP_M, LARGE_GAP_M = 1.2, 3.0
+SIDE_STEP_M = 0.5  # pieces across a wider gap lie in one line to within this
+PERSON_WIDTH_M, PERSON_HEIGHT_M = 1.0, 1.0
+CYCLE_LENGTH_M, CYCLIST_TOP_M = 2.2, 1.55
+
+
+@inline
+def _corner(box, k, i):  # type: ignore[no-untyped-def]
+    """Corner i of footprint k."""
+    c, s = np.cos(box[k, 6]), np.sin(box[k, 6])
+    u = 0.5 * box[k, 3] * (1.0 if i & 1 else -1.0)
+    v = 0.5 * box[k, 4] * (1.0 if i & 2 else -1.0)
+    return box[k, 0] + c * u - s * v, box[k, 1] + s * u + c * v
+
+
+@kernel
+def _gap(box, a, b):  # type: ignore[no-untyped-def]
+    """Distance of footprints: the smallest from a corner of one to the other."""
+    nearest = np.inf
+    for swap in range(2):
+        p, q = (a, b) if swap == 0 else (b, a)
+        c, s = np.cos(box[q, 6]), np.sin(box[q, 6])
+        for i in range(4):
+            x, y = _corner(box, p, i)
+            dx, dy = x - box[q, 0], y - box[q, 1]
+            u = max(abs(c * dx + s * dy) - 0.5 * box[q, 3], 0.0)
+            v = max(abs(c * dy - s * dx) - 0.5 * box[q, 4], 0.0)
+            nearest = min(nearest, np.hypot(u, v))
+    return nearest
+
+
+@kernel
+def _extent(box, members, yaw):  # type: ignore[no-untyped-def]
+    """Length along ``yaw`` and width across it of all corners of the members."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    u0 = v0 = np.inf
+    u1 = v1 = -np.inf
+    for k in members:
+        for i in range(4):
+            x, y = _corner(box, k, i)
+            u, v = c * x + s * y, c * y - s * x
+            u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
+    return u1 - u0, v1 - v0
+
+
+@kernel
+def _fits(box, members, a, b, gap):  # type: ignore[no-untyped-def]
+    """Whether the members, of which a and b are ``gap`` apart, can be one vehicle."""
+    top, low_top = 0.0, np.inf
+    for k in members:
+        t = box[k, 7] + box[k, 5]
+        top, low_top = max(top, t), min(low_top, t)
+    across = np.arctan2(box[b, 1] - box[a, 1], box[b, 0] - box[a, 0])
+    best, length, width = np.inf, 0.0, 0.0
+    for i in range(3):
+        yaw = box[a, 6] if i == 0 else (box[b, 6] if i == 1 else across)
+        along, side = _extent(box, members, yaw)
+        if along * side < best:
+            best, length, width = along * side, along, side
+            chosen = yaw
+    if width > length:
+        length, width, chosen = width, length, chosen + 0.5 * np.pi
+    large = LARGE_TOP_M >= top > SMALL_TOP_M
+    if top > LARGE_TOP_M or gap > (LARGE_GAP_M if large else SMALL_GAP_M):
+        return False
+    if length > (LARGE_LENGTH_M if large else SMALL_LENGTH_M) or width > (LARGE_WIDTH_M if large else SMALL_WIDTH_M):
+        return False
+    if gap <= TOUCH_M:
+        return True
+    own = np.empty(1, np.int64)
+    own[0] = a
+    _, side_a = _extent(box, own, chosen)
+    own[0] = b
+    _, side_b = _extent(box, own, chosen)
+    return width <= max(side_a, side_b) + SIDE_STEP_M
+
+
+@kernel
+def _vulnerable(box, k):  # type: ignore[no-untyped-def]
+    """A piece with the outline of a person, or as narrow as a cyclist and taller than most cars."""
+    top = box[k, 7] + box[k, 5]
+    if top > SMALL_TOP_M or box[k, 5] < PERSON_HEIGHT_M:
+        return False
+    person = np.hypot(box[k, 3], box[k, 4]) < PERSON_WIDTH_M
+    cyclist = (box[k, 3] < CYCLE_LENGTH_M) & (box[k, 4] < PERSON_WIDTH_M) & (top > CYCLIST_TOP_M)
+    return person | cyclist
+
+
+@kernel
+def merge_fragments(box, counts, min_count, group):  # type: ignore[no-untyped-def]
+    """Group number of each of K components, by union of fitting neighbours; components under ``min_count`` stay out.
+
+    box (K, 8) as measured by ``kernels_clusters.measure``; group (K,) int32 is written: smallest member's index.
+    """
+    total = len(counts)
+    usable = np.empty(total, np.int64)
+    n = 0
+    for k in range(total):
+        group[k] = k
+        top = box[k, 7] + box[k, 5]
+        if counts[k] >= min_count and box[k, 3] <= LARGE_LENGTH_M and top <= LARGE_TOP_M and not _vulnerable(box, k):
+            usable[n] = k
+            n += 1
+    usable = usable[:n]
+    usable = usable[np.argsort(box[usable, 0] - 0.5 * np.hypot(box[usable, 3], box[usable, 4]))]
+    pairs, gaps = _near_pairs(box, usable)
+    for p in np.argsort(gaps):
+        a, b = pairs[p, 0], pairs[p, 1]
+        ga, gb = group[a], group[b]
+        if ga == gb:
+            continue
+        members = usable[(group[usable] == ga) | (group[usable] == gb)]
+        if _fits(box, members, a, b, gaps[p]):
+            target = min(ga, gb)
+            for k in members:
+                group[k] = target
+
+
+@kernel
+def _near_pairs(box, usable):  # type: ignore[no-untyped-def]
+    """Pairs of pieces no farther apart than the widest gap, with the gap; ``usable`` is sorted by left end."""
+    pairs = np.empty((16 * len(usable) + 16, 2), np.int64)
+    gaps = np.empty(len(pairs))
+    n = 0
+    for i in range(len(usable)):
+        a = usable[i]
+        half_a = 0.5 * np.hypot(box[a, 3], box[a, 4])
+        for j in range(i + 1, len(usable)):
+            b = usable[j]
+            half_b = 0.5 * np.hypot(box[b, 3], box[b, 4])
+            if box[b, 0] - half_b > box[a, 0] + half_a + LARGE_GAP_M:
+                break
+            if abs(box[a, 1] - box[b, 1]) > half_a + half_b + LARGE_GAP_M or n == len(pairs):
+                continue
+            tall = max(box[a, 7] + box[a, 5], box[b, 7] + box[b, 5]) > SMALL_TOP_M
+            gap = _gap(box, a, b)
+            if gap <= (LARGE_GAP_M if tall else SMALL_GAP_M):
+                pairs[n, 0], pairs[n, 1], gaps[n] = a, b, gap
+                n += 1
+    return pairs[:n], gaps[:n]
