@@ -6,6 +6,8 @@ import typer
 
 from common.cli.demo import demo
 from common.cli.look import echo, health, hz, ls
+from common.cli.record import record
+from common.cli.replay import replay
 from common.cli.router import router
 from common.cli.up import up
 
@@ -16,7 +18,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (demo, up, router, ls, echo, hz, health):
+for command in (demo, up, router, ls, echo, hz, health, record, replay):
     app.command()(command)
 
 

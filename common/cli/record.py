@@ -1,0 +1,110 @@
+"""`spotter record`: the bus into MCAP files that Foxglove opens."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from common import topics
+from common.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespace, bus
+from common.cli.fail import fail
+from common.clock import monotonic_s
+
+LARGE = ("infra_lidar/points", "camera/image")
+
+
+def record(
+    folder: Annotated[Path, typer.Argument(help="Where the files go; made if it is not there.")] = Path("recordings"),
+    only: Annotated[
+        list[str] | None, typer.Option("--only", help="A product, e.g. fusion/verdict; may be repeated. Default: all.")
+    ] = None,
+    large: Annotated[bool, typer.Option(help="Pictures and clouds too (on demand: recording them costs).")] = False,
+    seconds: Annotated[float, typer.Option(help="Stop by itself; 0 = on Ctrl-C.")] = 0.0,
+    keep_free: Annotated[float, typer.Option(help="GB of the disk that are never used.")] = 2.0,
+    rotate_mb: Annotated[float, typer.Option(help="A new file after this many MB ...")] = 1000.0,
+    rotate_minutes: Annotated[float, typer.Option(help="... or minutes.")] = 60.0,
+    foxglove: Annotated[bool, typer.Option(help="Foxglove's own schemas beside ours.")] = True,
+    connect: Connect = DEFAULT_ENDPOINT,
+    namespace: Namespace = "spotter",
+    as_json: AsJson = False,
+) -> None:
+    """Record every topic; survives a kill -9 up to the last second. Ctrl-C ends it with index and statistics."""
+    try:
+        from common.recording.recorder import DiskFull, Recorder, RecorderOptions, RecorderStatus
+    except ImportError as error:
+        fail(f"recording needs the extra `laptop`: {error}")
+    if foxglove:
+        foxglove = _foxglove_is_here()
+    options = RecorderOptions(folder, int(keep_free * 1e9), int(rotate_mb * 1e6), rotate_minutes * 60, foxglove)
+    stop = threading.Event()
+    for signum in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(signum, lambda *_: stop.set())
+    started_s = monotonic_s()
+
+    def tell(status: RecorderStatus) -> None:
+        if seconds and monotonic_s() - started_s >= seconds:
+            stop.set()
+        if not as_json:
+            line = f"{status.messages} messages, {status.bytes / 1e6:.1f} MB, {status.dropped} dropped, "
+            line += f"{status.free_bytes / 1e9:.0f} GB free"
+            sys.stderr.write(f"\r  {monotonic_s() - started_s:6.0f} s  {line}   ")
+
+    with bus(connect, namespace) as session:
+        recorder = Recorder(session, _chosen(only or [], large), options, _metadata(session, namespace))
+        try:
+            recorder.run(stop, tell)
+        except DiskFull as error:
+            fail(str(error))
+    if as_json:
+        print(json.dumps(vars(recorder.status)))
+    else:
+        sys.stderr.write(f"\n  {recorder.status.file}\n")
+
+
+def _chosen(only: list[str], large: bool) -> list[topics.Topic]:
+    table = [*topics.DATA_TOPICS, topics.status_topic("*")]
+    unknown = set(only) - {topic.name for topic in topics.DATA_TOPICS}
+    if unknown:
+        known = ", ".join(topic.name for topic in topics.DATA_TOPICS)
+        fail(f"--only {', '.join(sorted(unknown))}: no such product; known: {known}", code=2)
+    if only:
+        return [topic for topic in table if topic.name in only]
+    return [topic for topic in table if large or topic.name not in LARGE]
+
+
+def _metadata(session: Any, namespace: str) -> dict[str, dict[str, str]]:
+    """Which services, versions and configurations the recording is of."""
+    from common.codec import DecodeError, decode
+    from common.messages import ServiceInfo
+
+    metadata = {"spotter": {"version": importlib.metadata.version("spotter"), "namespace": namespace}}
+    for reply in session.get("*/*/info", timeout=1.0):
+        if reply.ok is None:
+            continue
+        try:
+            info = decode(reply.ok.payload.to_bytes(), ServiceInfo)
+        except DecodeError:
+            continue
+        metadata[f"{info.host}/{info.service}"] = {
+            "version": info.version,
+            "config_hash": info.config_hash,
+            "instance": info.instance,
+            "source": info.source,
+        }
+    return metadata
+
+
+def _foxglove_is_here() -> bool:
+    import importlib.util
+
+    if importlib.util.find_spec("foxglove") is None:
+        sys.stderr.write("  without the extra `foxglove`: our messages only, no 3-D scene for Foxglove\n")
+        return False
+    return True

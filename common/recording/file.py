@@ -1,0 +1,99 @@
+"""One MCAP file while it is being written.
+
+Our messages go in as they came from the wire (message encoding ``msgpack``, a JSON schema beside them), with the time
+they arrived as log time. A chunk is closed every half second, so a killed recorder loses less than a second.
+"""
+
+from __future__ import annotations
+
+import os
+from io import BufferedWriter
+from pathlib import Path
+from typing import Any
+
+from mcap.writer import CompressionType, Writer
+
+from common.messages import Message
+from common.recording.schemas import json_schema, schema_name
+
+CHUNK_BYTES = 1 << 20
+
+
+class _ChunkedWriter(Writer):
+    """The library closes a chunk when it is full; we also close it when it is old, which it has no public call for."""
+
+    def close_chunk(self) -> None:
+        self._Writer__finalize_chunk()  # type: ignore[attr-defined]
+
+
+class RecordingFile:
+    """Use it in a ``with`` statement; leaving it writes the index and the statistics.
+
+    Raises:
+        FileExistsError: never overwrites a recording.
+    """
+
+    def __init__(self, path: Path, metadata: dict[str, dict[str, str]]) -> None:
+        self.path = path
+        self.messages = 0
+        self._stream: BufferedWriter = path.open("xb")
+        self._writer = _ChunkedWriter(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile="spotter", library="spotter")
+        for name, values in metadata.items():
+            self._writer.add_metadata(name, values)
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+
+    def __enter__(self) -> RecordingFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def size_bytes(self) -> int:
+        return self._stream.tell()
+
+    def add(self, key: str, message_type: type[Message], payload: bytes, log_ns: int, sent_ns: int, seq: int) -> None:
+        """One of our messages, byte for byte."""
+        channel = self._channel(key, "msgpack", schema_name(message_type), "jsonschema", json_schema(message_type))
+        self._writer.add_message(channel, log_ns, payload, sent_ns or log_ns, seq & 0xFFFFFFFF)
+        self.messages += 1
+
+    def add_foxglove(self, topic: str, message: Any, log_ns: int, publish_ns: int) -> None:
+        """A message of Foxglove's own schemas, protobuf-encoded by its SDK."""
+        schema = type(message).get_schema()
+        channel = self._channel(topic, "protobuf", schema.name, schema.encoding, schema.data)
+        self._writer.add_message(channel, log_ns, message.encode(), publish_ns)
+
+    def add_json(self, topic: str, schema: str, payload: bytes, log_ns: int) -> None:
+        """A small JSON message, for numbers that Foxglove can plot; ``schema`` is only a name."""
+        channel = self._channel(topic, "json", schema, "jsonschema", b'{"type":"object"}')
+        self._writer.add_message(channel, log_ns, payload, log_ns)
+
+    def attach(self, name: str, media_type: str, data: bytes, stamp_ns: int) -> None:
+        """A file inside the file: configuration, for example."""
+        self._writer.add_attachment(stamp_ns, stamp_ns, name, media_type, data)
+
+    def flush(self) -> None:
+        """Close the chunk and hand everything to the kernel: what is before this survives a kill -9."""
+        self._writer.close_chunk()
+        self._stream.flush()
+
+    def sync(self) -> None:
+        """Ask the kernel to write it to the disk: what is before this survives a power cut."""
+        os.fdatasync(self._stream.fileno())
+
+    def close(self) -> None:
+        if not self._stream.closed:
+            self._writer.finish()
+            self._stream.flush()
+            self.sync()
+            self._stream.close()
+
+    def _channel(self, topic: str, message_encoding: str, schema: str, encoding: str, data: bytes) -> int:
+        if topic not in self._channels:
+            if schema not in self._schemas:
+                self._schemas[schema] = self._writer.register_schema(schema, encoding, data)
+            self._channels[topic] = self._writer.register_channel(topic, message_encoding, self._schemas[schema])
+        return self._channels[topic]

@@ -1,0 +1,105 @@
+"""Plays a recording back on the bus at any pace, under a namespace of its own."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import zenoh
+
+from common.clock import monotonic_s, utc_ns
+from common.codec import DecodeError, decode, encode, encoding_of
+from common.recording.reader import Recorded, read
+from common.topics import find_topic, token_key
+
+INSTANCE = "replayed"
+LONGEST_WAIT_S = 0.25  # a stop request is heard at least this often
+
+
+@dataclass(frozen=True)
+class Pace:
+    """``rate`` 2.0 is twice as fast; ``seek_s`` skips the beginning; ``shift`` makes the stamps those of now."""
+
+    rate: float = 1.0
+    seek_s: float = 0.0
+    loop: bool = False
+    shift: bool = True
+
+
+class Player:
+    """Puts recorded messages as they came, with a token for every service that speaks in the recording."""
+
+    def __init__(self, session: zenoh.Session, paths: list[Path], pace: Pace) -> None:
+        self._session = session
+        self._paths = paths
+        self._pace = pace
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._tokens: dict[str, zenoh.LivelinessToken] = {}
+        self.played = 0
+
+    def run(self, stop: threading.Event, tell: Callable[[float], None] = lambda _: None) -> None:
+        """Play until the end, or again and again with ``loop``; ``tell`` gets seconds into the recording."""
+        while not stop.is_set():
+            self._play_once(stop, tell)
+            if not self._pace.loop:
+                return
+
+    def _play_once(self, stop: threading.Event, tell: Callable[[float], None]) -> None:
+        origin_ns: int | None = None
+        started_s, started_ns = monotonic_s(), utc_ns()
+        for recorded in self._recorded():
+            if origin_ns is None:
+                origin_ns = recorded.log_ns
+            into_s = (recorded.log_ns - origin_ns) / 1e9
+            if not self._wait(stop, started_s + into_s / self._pace.rate):
+                return
+            self._put(recorded, started_ns - origin_ns if self._pace.shift else 0, into_s)
+            tell(into_s + self._pace.seek_s)
+
+    def _recorded(self) -> Iterator[Recorded]:
+        first_ns: int | None = None
+        for path in self._paths:
+            for recorded in read(path):
+                first_ns = recorded.log_ns if first_ns is None else first_ns
+                if recorded.log_ns >= first_ns + int(self._pace.seek_s * 1e9):
+                    yield recorded
+
+    @staticmethod
+    def _wait(stop: threading.Event, due_s: float) -> bool:
+        while (left_s := due_s - monotonic_s()) > 0:
+            if stop.wait(min(left_s, LONGEST_WAIT_S)):
+                return False
+        return not stop.is_set()
+
+    def _put(self, recorded: Recorded, shift_ns: int, into_s: float) -> None:
+        topic = find_topic(recorded.key)
+        if topic is None:
+            return
+        self._be_present(recorded.key)
+        payload = recorded.payload
+        if shift_ns:
+            # At another rate the stamps keep their distance to the moment at which they are played.
+            late_ns = int(into_s * (1 / self._pace.rate - 1) * 1e9)
+            try:
+                message = decode(payload, topic.message, topic.max_bytes)
+            except DecodeError:
+                return
+            for name in ("stamp_ns", "received_ns", "sent_ns"):
+                if getattr(message, name):
+                    setattr(message, name, getattr(message, name) + shift_ns + late_ns)
+            payload = encode(message)
+        self._publisher(recorded.key, encoding_of(topic.message)).put(payload)
+        self.played += 1
+
+    def _publisher(self, key: str, encoding: str) -> zenoh.Publisher:
+        if key not in self._publishers:
+            self._publishers[key] = self._session.declare_publisher(key, encoding=encoding)
+        return self._publishers[key]
+
+    def _be_present(self, key: str) -> None:
+        host, service, _ = key.split("/")
+        token = token_key(host, service, INSTANCE)
+        if token not in self._tokens:
+            self._tokens[token] = self._session.liveliness().declare_token(token)

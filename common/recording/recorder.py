@@ -1,0 +1,210 @@
+"""From the bus into files: queueing, counting what was lost, rotation, disk guard."""
+
+from __future__ import annotations
+
+import json
+import queue
+import shutil
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import zenoh
+
+from common.clock import monotonic_s, utc_ns
+from common.codec import DecodeError, decode
+from common.messages import Message
+from common.recording.file import RecordingFile
+from common.topics import Topic, find_topic
+
+FLUSH_PERIOD_S = 0.5
+SYNC_PERIOD_S = 1.0
+QUEUE_MESSAGES = 20_000
+RING_PER_TOPIC = 512
+
+
+@dataclass(frozen=True)
+class RecorderOptions:
+    """Where and how much. ``keep_free_bytes`` is never used up; a file ends at ``rotate_bytes`` or ``rotate_s``."""
+
+    folder: Path
+    keep_free_bytes: int = 2_000_000_000
+    rotate_bytes: int = 1_000_000_000
+    rotate_s: float = 3600.0
+    foxglove: bool = True
+
+
+@dataclass
+class RecorderStatus:
+    """Counts since the start; the same numbers go into the file once a second."""
+
+    messages: int = 0
+    bytes: int = 0
+    dropped: int = 0
+    undecodable: int = 0
+    free_bytes: int = 0
+    file: str = ""
+
+
+class DiskFull(RuntimeError):
+    """The disk guard has stopped the recording; what was written is complete."""
+
+
+@dataclass(frozen=True)
+class Arrival:
+    key: str
+    payload: bytes
+    log_ns: int
+
+
+class Recorder:
+    """Records topics of a session until told to stop. ``run`` works in the caller's thread."""
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        topics: Iterable[Topic],
+        options: RecorderOptions,
+        metadata: dict[str, dict[str, str]],
+    ) -> None:
+        self.status = RecorderStatus()
+        self._options = options
+        self._metadata = metadata
+        self._queue: queue.Queue[Arrival] = queue.Queue(QUEUE_MESSAGES)
+        self._overflow = 0
+        self._next_seq: dict[str, int] = {}
+        self._gaps: Counter[str] = Counter()
+        self._index = 0
+        self._subscribers = [
+            session.declare_subscriber(topic.any_host, zenoh.handlers.RingChannel(RING_PER_TOPIC)) for topic in topics
+        ]
+        for subscriber in self._subscribers:
+            threading.Thread(target=self._receive, args=(subscriber,), name="recorder", daemon=True).start()
+
+    def run(self, stop: threading.Event, tell: Callable[[RecorderStatus], None] = lambda _: None) -> None:
+        """Write until ``stop`` is set.
+
+        Raises:
+            DiskFull: the disk guard stepped in; the file is closed and complete.
+        """
+        self._options.folder.mkdir(parents=True, exist_ok=True)
+        while not stop.is_set():
+            self._guard_disk()
+            with self._new_file() as file:
+                self._fill(file, stop, tell)
+
+    def _fill(self, file: RecordingFile, stop: threading.Event, tell: Callable[[RecorderStatus], None]) -> None:
+        """One file, until it is full, old, or the recording ends."""
+        opened_s = flushed_s = synced_s = monotonic_s()
+        while not stop.is_set():
+            self._drain(file, until_s=flushed_s + FLUSH_PERIOD_S)
+            now_s = monotonic_s()
+            file.flush()
+            flushed_s = now_s
+            if now_s - synced_s < SYNC_PERIOD_S:
+                continue
+            synced_s = now_s
+            self._note_status(file)
+            file.sync()
+            tell(self.status)
+            self._guard_disk()
+            if file.size_bytes > self._options.rotate_bytes or now_s - opened_s > self._options.rotate_s:
+                return
+        self._drain(file, until_s=0.0)  # what came before the stop belongs to the recording
+        self._note_status(file)
+
+    def _drain(self, file: RecordingFile, until_s: float) -> None:
+        while True:
+            left_s = until_s - monotonic_s()
+            try:
+                arrival = self._queue.get(timeout=left_s) if left_s > 0 else self._queue.get_nowait()
+            except queue.Empty:
+                return
+            self._write(file, arrival)
+
+    def _write(self, file: RecordingFile, arrival: Arrival) -> None:
+        topic = find_topic(arrival.key)
+        if topic is None:
+            return
+        try:
+            message = decode(arrival.payload, topic.message, topic.max_bytes)
+        except DecodeError:
+            self.status.undecodable += 1
+            return
+        self._count_gap(arrival.key, message)
+        file.add(arrival.key, topic.message, arrival.payload, arrival.log_ns, message.sent_ns, message.seq)
+        self.status.messages += 1
+        self.status.bytes += len(arrival.payload)
+        if self._options.foxglove:
+            self._write_foxglove(file, arrival, message)
+
+    def _write_foxglove(self, file: RecordingFile, arrival: Arrival, message: Message) -> None:
+        from common.messages import Verdict
+        from common.recording.foxglove import convert
+
+        for name, converted in convert(arrival.key, message):
+            file.add_foxglove(name, converted, arrival.log_ns, message.stamp_ns)
+        if isinstance(message, Verdict):
+            number = {"SAFE": 0, "CAUTION": 1, "IMMINENT": 2}[message.level]
+            ages_ms = {name: one.age_ms for name, one in message.inputs.items()}
+            payload = json.dumps({"level": number, "age_ms": ages_ms}).encode()
+            file.add_json(f"/plot/{arrival.key}", "spotter.VerdictNumbers", payload, arrival.log_ns)
+
+    def _count_gap(self, key: str, message: Message) -> None:
+        """Messages that never reached us, by the publisher's own count; a restart begins again at zero."""
+        expected = self._next_seq.get(key)
+        if expected is not None and message.seq > expected:
+            self._gaps[key] += message.seq - expected
+        self._next_seq[key] = message.seq + 1
+        self.status.dropped = sum(self._gaps.values()) + self._overflow
+
+    def _note_status(self, file: RecordingFile) -> None:
+        """The drop counter inside the file: a reader can tell a quiet bus from a lossy recording."""
+        self.status.file = str(file.path)
+        self.status.free_bytes = shutil.disk_usage(self._options.folder).free
+        content = {
+            "messages": self.status.messages,
+            "dropped": self.status.dropped,
+            "dropped_by_key": dict(self._gaps),
+            "queue_overflow": self._overflow,
+            "undecodable": self.status.undecodable,
+            "free_bytes": self.status.free_bytes,
+        }
+        file.add_json("/recorder/status", "spotter.RecorderStatus", json.dumps(content).encode(), utc_ns())
+
+    def _new_file(self) -> RecordingFile:
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+        path = self._options.folder / f"spotter-{stamp}-{self._index:03d}.mcap"
+        self._index += 1
+        file = RecordingFile(path, self._metadata)
+        if self._options.foxglove:
+            from common.recording.foxglove import static_transforms
+
+            now_ns = utc_ns()
+            for transform in static_transforms(now_ns):
+                file.add_foxglove("/tf", transform, now_ns, now_ns)
+        self.status.file = str(path)
+        return file
+
+    def _guard_disk(self) -> None:
+        free = shutil.disk_usage(self._options.folder).free
+        if free < self._options.keep_free_bytes:
+            raise DiskFull(
+                f"{self._options.folder}: {free / 1e9:.2f} GB free, "
+                f"{self._options.keep_free_bytes / 1e9:.2f} GB of it not to be used (--keep-free); "
+                "recording stopped, the files are complete"
+            )
+
+    def _receive(self, subscriber: Iterable[zenoh.Sample]) -> None:
+        try:
+            for sample in subscriber:
+                arrival = Arrival(str(sample.key_expr), sample.payload.to_bytes(), utc_ns())
+                try:
+                    self._queue.put_nowait(arrival)
+                except queue.Full:
+                    self._overflow += 1
+        except zenoh.ZError:
+            return  # the session is closed
