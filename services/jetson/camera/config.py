@@ -20,7 +20,7 @@ Provider = Literal["TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExe
 
 
 class ClassSize(Section, frozen=True, kw_only=True):
-    """Real size of a class. A length of 0: as deep as it is wide does not matter (people, animals, small things)."""
+    """Real size of a class. A length of 0: no vehicle, half as deep as it is wide."""
 
     height_m: Metres
     height_sigma_m: Metres
@@ -116,7 +116,7 @@ class HealthConfig(Section, frozen=True, kw_only=True):
 
     dark_below: Grey = 40.0  # mean brightness: detections are cleared at once
     saturated_above: Fraction = 0.50  # share of pixels at 250 or more
-    contrast_below: Grey = 12.0  # standard deviation: a covered or fogged lens (real pictures have 50 and more)
+    contrast_below: Fraction = 0.15  # standard deviation over mean: a covered or fogged lens (real pictures: > 0.4)
     detail_below: Annotated[float, Meta(ge=0.0, le=10.0)] = (
         0.08  # Laplacian over contrast (real pictures: 0.3 and more)
     )

@@ -1,10 +1,10 @@
 """How far: from a box, the lens, real sizes by class and, when the camera's place is known, the ground.
 
 Depth d along the optical axis to the middle of the object, for a pinhole with focal length f_y and the horizon at
-row v0; L is how deep the object is, judged from the box's aspect (0 for people and small things):
+row v0; L is how deep a vehicle is, judged from the box's aspect (0 for people and small things):
 
 * height   d = f_y * H / (bottom - top) + L / 4    the bottom belongs to the near side, the top to the middle
-* ground   d = f_y * C / (bottom - v0) + L / 2     the near side touches the ground, C below the camera
+* ground   d = f_y * C / (bottom - v0) + 0.3 L     the near wheels touch the ground, C below the camera
 * top      d = f_y * (H - C) / (v0 - top)          for objects clearly taller than the camera stands
 * width    d = f_x * W / (right - left)            only when the height is cut off
 
@@ -25,6 +25,8 @@ from services.jetson.camera.config import ClassSize, DistanceConfig, LensConfig,
 
 AGREE_SIGMAS = 3.0  # cues further apart contradict each other: the nearer is believed
 TALLER_SIGMAS = 3.0  # the top cue needs an object that is taller than the camera by this many spreads
+MIN_MOUNT_M = 0.01  # a camera lower than this has no place: it was not told
+AXLE = 0.3  # of a vehicle's length: from its middle to an axle
 CLEAR_SIGMAS = 2.0  # ... and a row that differs from the horizon by this many uncertainties
 
 
@@ -78,7 +80,7 @@ def estimate(box: np.ndarray, label: str, lens: LensConfig, mount: MountConfig, 
     for cue, is_bound in (*_vertical_cues(box, size, cut, lens, mount, config), *_width_cues(box, size, cut, lens)):
         (bounds if is_bound else measured).append(cue)
     best = min([*bounds, *([_fuse(measured)] if measured else [])], key=lambda cue: cue.distance_m)
-    near_m = max(best.distance_m - depth_m(box, size, cut) / 2, 0.0)
+    near_m = max(best.distance_m - reach_m(box, size, cut), 0.0)
     return Distance(best.distance_m, best.distance_m * best.relative_sigma, near_m, any(cut))
 
 
@@ -102,6 +104,17 @@ def depth_m(box: np.ndarray, size: ClassSize, cut: Cut) -> float:
     return float(np.clip(size.length_m + size.width_m - seen_width_m, size.width_m, size.length_m))
 
 
+def reach_m(box: np.ndarray, size: ClassSize, cut: Cut) -> float:
+    """How much nearer the nearest side is than the distance: half the depth; of a vehicle that is cut off only the
+    overhang before the wheels, because nothing is known of the rest; a person is half as deep as broad.
+    """
+    if size.length_m == 0:
+        return size.width_m / 4
+    if any(cut):
+        return (0.5 - AXLE) * (size.length_m + size.width_m) / 2
+    return depth_m(box, size, cut) / 2
+
+
 def _vertical_cues(
     box: np.ndarray, size: ClassSize, cut: Cut, lens: LensConfig, mount: MountConfig, config: DistanceConfig
 ) -> list[tuple[Cue, bool]]:
@@ -111,7 +124,7 @@ def _vertical_cues(
     relative = math.hypot(size.height_sigma_m / size.height_m, math.sqrt(2) * config.box_sigma_px / height_px)
     height = Cue(lens.f_y_px * size.height_m / height_px + deep_m / 4, relative)
     found = [(height, cut.top or cut.bottom)]
-    if mount.height_m == 0:
+    if mount.height_m < MIN_MOUNT_M:
         return found
 
     horizon_px = lens.c_y_px + lens.f_y_px * math.tan(mount.pitch_rad)
@@ -119,7 +132,7 @@ def _vertical_cues(
     below_px = bottom - horizon_px
     if below_px > CLEAR_SIGMAS * row_sigma_px:
         relative = math.hypot(mount.height_sigma_m / mount.height_m, row_sigma_px / below_px)
-        found.append((Cue(lens.f_y_px * mount.height_m / below_px + deep_m / 2, relative), cut.bottom))
+        found.append((Cue(lens.f_y_px * mount.height_m / below_px + AXLE * deep_m, relative), cut.bottom))
 
     above_px, taller_m = horizon_px - top, size.height_m - mount.height_m
     stands_out = above_px > CLEAR_SIGMAS * row_sigma_px and taller_m > TALLER_SIGMAS * size.height_sigma_m

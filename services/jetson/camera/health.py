@@ -18,8 +18,8 @@ class Measures(NamedTuple):
     """What one picture says about the view."""
 
     brightness: float  # mean grey level, 0..255
-    contrast: float  # standard deviation of the grey levels
-    detail: float  # standard deviation of the Laplacian, relative to the contrast
+    contrast: float  # standard deviation of the grey levels over their mean
+    detail: float  # standard deviation of the Laplacian over that of the grey levels
     saturated: float  # share of pixels at 250 or more
     difference: float | None  # mean absolute difference to the picture before; None = there was none
 
@@ -50,7 +50,7 @@ def measure(grey: np.ndarray, previous: np.ndarray | None) -> Measures:
         difference = float(cv2.norm(grey, previous, cv2.NORM_L1)) / grey.size
     return Measures(
         brightness=mean,
-        contrast=deviation,
+        contrast=deviation / max(mean, 1.0),
         detail=laplacian / max(deviation, 1.0),
         saturated=float(np.count_nonzero(grey >= SATURATED)) / grey.size,
         difference=difference,
@@ -94,10 +94,10 @@ class ViewMonitor:
         """The state after this picture; the first complaint in the order above is the one that is told."""
         self._judge_frozen(stamp_ns, measures.difference)
         self._judge_below(self._dark, measures.brightness, self._config.dark_below, "mean brightness {:.0f}")
-        self._judge_below(self._covered, measures.contrast, self._config.contrast_below, "contrast {:.1f}")
+        self._judge_below(self._covered, measures.contrast, self._config.contrast_below, "contrast {:.2f}")
         self._judge_below(self._blurred, measures.detail, self._config.detail_below, "fine detail {:.3f}")
         self._judge_overexposed(measures.saturated)
-        conditions = (self._dark, self._frozen, self._covered, self._overexposed, self._blurred)
+        conditions = (self._dark, self._frozen, self._overexposed, self._covered, self._blurred)
         raised = [condition for condition in conditions if condition.raised]
         if not raised:
             return ViewState(False, False, "")

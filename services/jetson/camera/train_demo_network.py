@@ -146,10 +146,10 @@ class DemoNetwork(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.body = nn.Sequential(
-            conv(3, 12, 2), conv(12, 24, 2), conv(24, 48, 2), Residual(48, 1), conv(48, 80, 2),
-            *(Residual(80, dilation) for dilation in (1, 2, 4, 8, 1)),
+            conv(3, 12, 2), conv(12, 24, 2), conv(24, 40, 2), Residual(40, 1), conv(40, 64, 2),
+            *(Residual(64, dilation) for dilation in (1, 2, 4, 8)),
         )  # fmt: skip
-        self.head = nn.Sequential(conv(80, 80), nn.Conv2d(80, 4 + len(NAMES), 1))
+        self.head = nn.Sequential(conv(64, 64), nn.Conv2d(64, 4 + len(NAMES), 1))
         nn.init.constant_(self.head[-1].bias[4:], -4.0)
         nn.init.constant_(self.head[-1].bias[:4], 1.0)
 
@@ -303,8 +303,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=DEMO_MODEL)
     parser.add_argument("--scenarios", type=int, default=160)
     parser.add_argument("--pictures", type=int, default=15, help="per scenario")
-    parser.add_argument("--steps", type=int, default=800)
-    parser.add_argument("--batch", type=int, default=16)
+    parser.add_argument("--steps", type=int, default=500)
+    parser.add_argument("--batch", type=int, default=12)
     parser.add_argument("--threads", type=int, default=2)
     options = parser.parse_args()
     torch.manual_seed(SEED)

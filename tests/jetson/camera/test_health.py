@@ -1,0 +1,146 @@
+"""Dark, frozen, covered, overexposed, blurred: made from a textured picture and from real ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from services.jetson.camera.config import HealthConfig
+from services.jetson.camera.health import ViewMonitor, ViewState, measure, reduce
+
+CONFIG = HealthConfig()
+PERIOD_NS = 66_666_667
+Change = Callable[[np.ndarray], np.ndarray]
+
+
+def noisy(image: np.ndarray, seed: int, sigma: float = 2.0) -> np.ndarray:
+    """Sensor noise, as every real picture has it."""
+    noise = np.random.default_rng(seed).normal(0, sigma, image.shape)
+    return np.clip(image.astype(np.float32) + noise, 0, 255).astype(np.uint8)
+
+
+def blur(share: float) -> Change:
+    return lambda image: cv2.GaussianBlur(image, (0, 0), image.shape[1] * share)
+
+
+CHANGES: dict[str, Change] = {
+    "dark": lambda image: (image * 0.2).astype(np.uint8),
+    "covered": lambda image: (blur(0.15)(image) * 0.3 + 60).astype(np.uint8),  # a hand or a cloth on the lens
+    "fogged": lambda image: (image * 0.1 + 180).astype(np.uint8),
+    "overexposed": lambda image: np.clip(image.astype(np.float32) * 4 + 110, 0, 255).astype(np.uint8),
+    "blurred": blur(0.015),
+}
+REASON = {"fogged": "covered or fogged", "covered": "covered or fogged"}
+
+
+class Camera:
+    """Feeds pictures to a monitor, 15 a second, each with its own noise."""
+
+    def __init__(self) -> None:
+        self.monitor = ViewMonitor(CONFIG)
+        self._previous: np.ndarray | None = None
+        self._count = 0
+
+    def shows(self, image: np.ndarray, times: int = 1, noise: float = 2.0) -> ViewState:
+        for _ in range(times):
+            grey = reduce(noisy(image, self._count, noise) if noise else image)
+            state = self.monitor.update(self._count * PERIOD_NS, measure(grey, self._previous))
+            self._previous = grey
+            self._count += 1
+        return state
+
+
+@pytest.mark.parametrize("fault", list(CHANGES))
+def test_a_fault_is_told_with_its_evidence_and_goes_away(texture: np.ndarray, fault: str) -> None:
+    camera = Camera()
+    assert camera.shows(texture, 10) == ViewState(False, False, "")
+    state = camera.shows(CHANGES[fault](texture), CONFIG.raise_frames)
+    assert state.degraded
+    name, _, evidence = state.reason.partition(": ")
+    assert name == REASON.get(fault, fault)
+    assert any(character.isdigit() for character in evidence)
+    assert camera.shows(texture, CONFIG.clear_frames) == ViewState(False, False, "")
+
+
+@pytest.mark.parametrize("fault", ["covered", "fogged", "overexposed", "blurred"])
+def test_one_bad_picture_is_no_fault(texture: np.ndarray, fault: str) -> None:
+    camera = Camera()
+    camera.shows(texture, 5)
+    assert not camera.shows(CHANGES[fault](texture), CONFIG.raise_frames - 1).degraded
+
+
+def test_dark_blinds_at_once_and_needs_three_good_pictures(texture: np.ndarray) -> None:
+    camera = Camera()
+    camera.shows(texture, 5)
+    assert camera.shows(CHANGES["dark"](texture)).blind
+    assert camera.shows(texture, CONFIG.clear_frames - 1).blind
+    assert not camera.shows(texture).degraded
+
+
+@pytest.mark.parametrize(("brightness", "dark"), [(39.0, True), (40.0, False), (41.0, False)])
+def test_the_limit_of_dark_is_forty(brightness: float, dark: bool) -> None:
+    """A checkerboard of known mean; 40 itself is not dark."""
+    image = np.full((480, 640, 3), brightness - 30, np.uint8)
+    image[::2] = int(brightness + 30)
+    state = Camera().shows(image, noise=0)
+    assert state.blind is dark
+
+
+def test_between_the_limits_a_state_stays(texture: np.ndarray) -> None:
+    """Hysteresis: 43 does not raise dark, and does not clear it either."""
+
+    def at(brightness: float) -> np.ndarray:
+        return (texture * (brightness / texture.mean())).astype(np.uint8)
+
+    bright = Camera()
+    assert not bright.shows(at(43), 20).blind
+    dimmed = Camera()
+    assert dimmed.shows(at(30)).blind
+    assert dimmed.shows(at(43), 20).blind
+    assert not dimmed.shows(at(60), 3).blind
+
+
+def test_a_picture_that_never_changes_is_frozen_after_a_second(texture: np.ndarray) -> None:
+    camera = Camera()
+    camera.shows(texture, 3)
+    assert not camera.shows(texture, 14, noise=0).degraded
+    state = camera.shows(texture, 3, noise=0)
+    assert state.blind
+    assert state.reason.startswith("frozen: the same picture for 1.")
+    assert not camera.shows(texture, 3).degraded
+
+
+def test_a_still_scene_with_sensor_noise_is_not_frozen(texture: np.ndarray) -> None:
+    assert not Camera().shows(texture, 40, noise=0.7).degraded
+
+
+def real_pictures(folder: Path) -> list[np.ndarray]:
+    paths = [folder / "bus.jpg", *sorted((folder / "kitti_tracking_0001").glob("*.png"))]
+    pictures = [cv2.imread(str(path)) for path in paths]
+    video = cv2.VideoCapture(str(folder / "one-by-one-person-detection.mp4"))
+    for number in (0, 400, 800):
+        video.set(cv2.CAP_PROP_POS_FRAMES, number)
+        pictures.append(video.read()[1])
+    video.release()
+    return pictures
+
+
+def test_real_pictures_are_views_and_their_ruined_copies_are_not(recordings: Callable[[str], Path]) -> None:
+    for picture in real_pictures(recordings("camera")):
+        assert Camera().shows(picture, 6) == ViewState(False, False, "")
+        for fault, change in CHANGES.items():
+            state = Camera().shows(change(picture), 6)
+            assert state.degraded, fault
+            assert state.reason.startswith(REASON.get(fault, fault)), (fault, state.reason)
+
+
+def test_a_real_video_of_a_room_is_neither_frozen_nor_covered(recordings: Callable[[str], Path]) -> None:
+    camera = Camera()
+    video = cv2.VideoCapture(str(recordings("camera") / "one-by-one-person-detection.mp4"))
+    for _ in range(150):
+        assert not camera.shows(video.read()[1], noise=0).degraded
+    video.release()
