@@ -160,29 +160,29 @@ class Driver:
 
     def _self_test(self) -> None:
         """The chip's test pattern through FIFO and SPI; a link that fails is used, but never called good."""
+        words = min(SELF_TEST_WORDS, self._layout.chirps * self._layout.samples // 2)
         for _ in range(SELF_TEST_TRIES):
-            wrong = self._test_pattern_errors()
+            wrong = self._test_pattern_errors(words)
             if not wrong:
                 self._self_test_text = ""
                 break
             self._report.bad_input("link_self_test")
-            total = 2 * SELF_TEST_WORDS
-            self._self_test_text = f"link self-test: {wrong} of {total} samples wrong; lower [spi] speed_hz"
+            self._self_test_text = f"link self-test: {wrong} of {2 * words} samples wrong; lower [spi] speed_hz"
 
-    def _test_pattern_errors(self) -> int:
+    def _test_pattern_errors(self, words: int) -> int:
         """Samples that differ from the pattern, with receiver 1 alone and no headers."""
         registers = self._registers()
         test = registers[Register.SFCTL] & ~reg.PREFIX_EN.mask
-        test = reg.FIFO_CREF.put(test, SELF_TEST_WORDS - 1) | reg.LFSR_EN.bits(1)
+        test = reg.FIFO_CREF.put(test, words - 1) | reg.LFSR_EN.bits(1)
         self._chip.write(Register.CS1_U_1, reg.BBCH_SEL.put(registers[Register.CS1_U_1], 1))
         self._chip.write(Register.SFCTL, test)
         self._chip.write(Register.MAIN, self._main(reg.FRAME_START))
-        self._link.wait_irq(self._schedule.ready_s(self._layout.frame_words) + IRQ_GRACE_S)
-        _, data = self._chip.burst(SELF_TEST_WORDS)
+        self._link.wait_irq(WordSchedule(self._plan.timing, rx=1, header_words=0).ready_s(words) + IRQ_GRACE_S)
+        _, data = self._chip.burst(words)
         self._chip.write(Register.MAIN, self._main(reg.FIFO_RESET))
         self._chip.write(Register.SFCTL, registers[Register.SFCTL])
         self._chip.write(Register.CS1_U_1, registers[Register.CS1_U_1])
-        return int(np.count_nonzero(unpack_words(data) != lfsr_sequence(2 * SELF_TEST_WORDS)))
+        return int(np.count_nonzero(unpack_words(data) != lfsr_sequence(2 * words)))
 
     # --- frames ------------------------------------------------------------------------------------------------------
 
@@ -254,7 +254,7 @@ class Driver:
         return RadarFrame(received_ns - round(age_s * 1e9), received_ns, samples, self.epoch, self._note())
 
     def _note(self) -> str:
-        polling = "" if self._irq.trusted else "interrupt line tells nothing true: polling; check its GPIO"
+        polling = "" if self._irq.trusted else "interrupt line is not to be trusted: polling; check [spi] irq_gpio"
         return "; ".join(filter(None, (self._self_test_text, polling)))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from common.clock import monotonic_s
 from services.radar_pi.config import SpiConfig
 
 _BUFFER_LIMIT = Path("/sys/module/spidev/parameters/bufsiz")
@@ -42,14 +43,13 @@ class SpiLink:
 
     def wait_irq(self, timeout_s: float) -> bool:
         """A level that is already there counts; edges from before are thrown away."""
-        if self._is_high():
-            return True
-        while self._lines.wait_edge_events(timeout_s):
-            self._lines.read_edge_events()
-            if self._is_high():
-                return True
-            timeout_s = 0.0  # an edge of an earlier burst
-        return self._is_high()
+        end_s = monotonic_s() + timeout_s
+        while not self._is_high():
+            left_s = end_s - monotonic_s()
+            if left_s <= 0 or not self._lines.wait_edge_events(left_s):
+                return self._is_high()
+            self._lines.read_edge_events()  # perhaps of an earlier burst
+        return True
 
     def close(self) -> None:
         self._lines.release()
