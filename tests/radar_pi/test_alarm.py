@@ -1,0 +1,115 @@
+"""Levels of tracks: the bands, what never alarms, and properties over all tracks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.messages import LEVELS
+from services.radar_pi.alarm import alarm_level, approached_s_ago, is_moving, static_level, time_to_collision_s
+from services.radar_pi.config import AlarmConfig, TrackingConfig
+from services.radar_pi.tracking import Track
+
+ALARM, TRACKING = AlarmConfig(), TrackingConfig()
+NOW_NS = 100_000_000_000
+
+
+def track(range_m: float, velocity_mps: float, *, approaching: bool, ago_s: float | None = None) -> Track:
+    return Track(
+        track_id=1, state=np.array([range_m, velocity_mps, 0.0]), covariance=np.eye(3), snr_db=30.0, has_azimuth=True,
+        approaching=approaching, last_approach_ns=None if ago_s is None else NOW_NS - round(ago_s * 1e9),
+    )  # fmt: skip
+
+
+def level(subject: Track, alarm: AlarmConfig = ALARM) -> str:
+    ttc_s = time_to_collision_s(subject, TRACKING)
+    return alarm_level(subject, ttc_s, approached_s_ago(subject, NOW_NS), alarm, TRACKING.moving_mps)
+
+
+@pytest.mark.parametrize(
+    ("range_m", "velocity_mps", "expected"),
+    [
+        (6.0, -4.1, "IMMINENT"),  # 1.46 s
+        (6.0, -4.0, "CAUTION"),  # 1.50 s: not under it
+        (4.0, -1.4, "CAUTION"),  # 2.9 s
+        (6.0, -2.0, "SAFE"),  # 3.0 s
+        (0.5, -0.2, "IMMINENT"),  # within
+        (0.51, -0.16, "CAUTION"),
+        (1.2, -0.2, "CAUTION"),
+        (1.21, -0.2, "SAFE"),
+        (0.4, 0.0, "IMMINENT"),  # the gate is still open: it came within reach
+    ],
+)
+def test_bands_of_an_approaching_track(range_m: float, velocity_mps: float, expected: str) -> None:
+    assert level(track(range_m, velocity_mps, approaching=True)) == expected
+
+
+@pytest.mark.parametrize(("ago_s", "expected"), [(0.3, "CAUTION"), (2.0, "CAUTION"), (2.1, "SAFE"), (None, "SAFE")])
+def test_came_close_and_stopped(ago_s: float | None, expected: str) -> None:
+    assert level(track(0.4, 0.05, approaching=False, ago_s=ago_s)) == expected
+
+
+def test_the_fallback_is_for_near_and_slow_only_and_can_be_switched_off() -> None:
+    assert level(track(0.6, 0.0, approaching=False, ago_s=0.3)) == "SAFE"
+    assert level(track(0.4, 0.8, approaching=False, ago_s=0.3)) == "SAFE"  # it leaves
+    assert level(track(0.4, 0.0, approaching=False, ago_s=0.3), AlarmConfig(stopped_near_s=0.0)) == "SAFE"
+
+
+@given(st.floats(0.0, 10.0), st.floats(-5.0, 5.0))
+def test_without_approach_nothing_alarms(range_m: float, velocity_mps: float) -> None:
+    assert level(track(range_m, velocity_mps, approaching=False)) == "SAFE"
+
+
+@given(st.floats(0.01, 10.0), st.floats(-5.0, -0.16))
+def test_approaching_within_one_and_a_half_seconds_is_always_imminent(range_m: float, velocity_mps: float) -> None:
+    if range_m / -velocity_mps < 1.5:
+        assert level(track(range_m, velocity_mps, approaching=True)) == "IMMINENT"
+
+
+@given(st.floats(0.0, 10.0), st.floats(0.0, 1.0), st.floats(-5.0, 5.0))
+def test_nearer_is_never_less_serious(range_m: float, step_m: float, velocity_mps: float) -> None:
+    nearer = level(track(max(0.0, range_m - step_m), velocity_mps, approaching=True))
+    assert LEVELS.index(nearer) >= LEVELS.index(level(track(range_m, velocity_mps, approaching=True)))
+
+
+@pytest.mark.parametrize(("velocity_mps", "approaching"), [(0.0, True), (-0.1, True), (1.0, True), (-1.0, False)])
+def test_no_time_to_collision_unless_it_closes_through_the_gate(velocity_mps: float, approaching: bool) -> None:
+    assert time_to_collision_s(track(2.0, velocity_mps, approaching=approaching), TRACKING) is None
+
+
+def test_a_distance_of_zero_is_a_distance() -> None:
+    touching = track(0.0, -1.0, approaching=True)
+    assert time_to_collision_s(touching, TRACKING) == 0.0
+    assert level(touching) == "IMMINENT"
+
+
+@pytest.mark.parametrize(
+    ("velocity_mps", "ego_mps", "expected"),
+    [
+        (-1.0, None, True),
+        (0.05, None, False),
+        (-1.0, 1.0, False),  # a wall ahead while we drive
+        (0.0, 1.0, True),  # drives with us
+        (0.0, 0.0, False),
+    ],
+)
+def test_moving_is_over_ground_when_our_speed_is_known(
+    velocity_mps: float, ego_mps: float | None, expected: bool
+) -> None:
+    assert is_moving(track(2.0, velocity_mps, approaching=False), ego_mps, TRACKING) is expected
+
+
+def test_a_wall_ahead_alarms_while_we_drive() -> None:
+    """Relative closing counts (A12): standing over ground does not make it harmless."""
+    wall = track(1.0, -1.0, approaching=True)
+    assert not is_moving(wall, 1.0, TRACKING)
+    assert level(wall) == "IMMINENT"
+
+
+def test_static_level_is_by_distance_of_what_stands() -> None:
+    assert static_level([], ALARM) is None
+    assert static_level([track(3.0, 0.0, approaching=False)], ALARM) == "SAFE"
+    assert static_level([track(r, 0.0, approaching=False) for r in (3.0, 1.2)], ALARM) == "CAUTION"
+    assert static_level([track(0.5, 0.0, approaching=False)], ALARM) == "IMMINENT"
