@@ -56,7 +56,13 @@ class GroundConfig(Section, frozen=True, kw_only=True):
     below_m: NotNegative = 0.30  # a point is ground from this far below the surface ...
     above_m: NotNegative = 0.15  # ... to this far above it
     keep_below: bool = False  # points lower than that are obstacles (the article) or nothing
-    max_step: Share = 0.12  # "surface": steepest slope from one cell to the next
+    max_step: Share = 0.12  # "surface": slope that may be overlooked while the road is hidden
+    step_up_m: NotNegative = 0.20  # "surface": a cell farther above its inner neighbours is a thing on the road ...
+    step_down_m: NotNegative = 0.40  # ... and farther below them a hole
+
+    def __post_init__(self) -> None:
+        if (self.range_max_m / self.ring_m + 2.0) * (360.0 / self.sector_deg) > 32_000:
+            raise ValueError("ground: more than 32000 cells; make ring_m or sector_deg larger")
 
 
 class ClusteringConfig(Section, frozen=True, kw_only=True):

@@ -109,5 +109,6 @@ class Ground:
         fit(
             self.height_m.reshape(grid), np.float32(config.ring_m), np.float32(config.limit_base_m),
             np.float32(config.limit_slope), np.float32(config.limit_max_m), np.float32(config.max_step),
+            np.float32(config.step_up_m), np.float32(config.step_down_m),
             self.surface.reshape(*grid, 3), self.accepted.reshape(grid),
         )  # fmt: skip

@@ -7,12 +7,8 @@ import numpy as np
 from services.infra_lidar.jit import kernel
 
 
-STEP_UP_M = np.float32(0.15)  # a kerb; a cell this far above what was expected is a thing on the road
-STEP_DOWN_M = np.float32(0.40)  # lower is more believable: nothing lies under a road
-
-
 @kernel
-def flat_surface(height, ring_m, base, slope, limit, max_step, surface, accepted):  # type: ignore[no-untyped-def]
+def flat_surface(height, ring_m, base, slope, limit, max_step, up, down, surface, accepted):  # type: ignore[no-untyped-def]
     """The article's rule: the cell's own height if it is near the calibration plane, else the plane.
 
     height (rings, sectors) float32, NaN = unknown; surface (rings, sectors, 3) and accepted are written.
@@ -29,10 +25,11 @@ def flat_surface(height, ring_m, base, slope, limit, max_step, surface, accepted
 
 
 @kernel
-def sloped_surface(height, ring_m, base, slope, limit, max_step, surface, accepted):  # type: ignore[no-untyped-def]
+def sloped_surface(height, ring_m, base, slope, limit, max_step, up, down, surface, accepted):  # type: ignore[no-untyped-def]
     """Walk outward from the pole, accept cells that continue the road, then fit a tangent plane per cell.
 
     height (rings, sectors) float32 low percentile, NaN = unknown; surface (rings, sectors, 3) and accepted written.
+    A cell may lie ``up`` above what was expected (a kerb) or ``down`` below it: nothing lies under a road.
     """
     rings, sectors = height.shape
     filled = np.empty((rings, sectors), np.float32)  # accepted height, or what was expected there
@@ -43,20 +40,23 @@ def sloped_surface(height, ring_m, base, slope, limit, max_step, surface, accept
         allowed = min(base + slope * distance, limit)
         for s in range(sectors):
             expected, rise, known = np.float32(0.0), np.float32(0.0), np.float32(1.0)  # at the foot: calibrated
+            level = np.float32(0.0)  # if the slope ended here
             if r > 0:
                 weights = np.float32(1e-6)
                 known *= np.float32(1e-6)
                 for ds in range(-1, 2):
                     n = (s + ds) % sectors
                     w = trust[r - 1, n] * np.float32(2.0 if ds == 0 else 1.0) + np.float32(1e-6)
-                    expected += w * (filled[r - 1, n] + trend[r - 1, n] * ring_m)
+                    level += w * filled[r - 1, n]
                     rise += w * trend[r - 1, n]
                     known += w * trust[r - 1, n]
                     weights += w
-                expected, rise, known = expected / weights, rise / weights, known / weights
+                level, rise, known = level / weights, rise / weights, known / weights
+                expected = level + rise * ring_m
             h = height[r, s]
             slack = max_step * ring_m * (np.float32(1.0) - known)
-            good = (abs(h) <= allowed) & (h - expected <= STEP_UP_M + slack) & (expected - h <= STEP_DOWN_M + slack)
+            good = (abs(h) <= allowed) & (h <= max(expected, level) + up + slack)
+            good &= h >= min(expected, level) - down - slack
             accepted[r, s] = good
             if good:
                 filled[r, s] = h
