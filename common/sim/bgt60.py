@@ -144,7 +144,7 @@ def _beat(echoes: np.ndarray, w: Waveform) -> np.ndarray:
     turn = 2.0 * np.pi * RX_SPACING_M / w.wavelength_m
     lag = {1: 0.0 * azimuth, 3: turn * np.sin(azimuth) * np.cos(elevation)}
     lag[2] = lag[3] - turn * np.sin(elevation)
-    chirp_phase = np.stack([slow + lag[rx] for rx in w.rx]).reshape(-1, len(echoes))  # (rx * chirp, target)
+    chirp_phase = np.stack([slow + lag[rx] for rx in w.rx]).reshape(len(w.rx) * w.chirps, len(echoes))
     sample_phase = 2.0 * np.pi * beat_hz[:, None] * np.arange(w.samples) / w.sample_rate_hz  # (target, sample)
     # cos(a + b) = cos a cos b - sin a sin b
     left = np.hstack([amplitude * np.cos(chirp_phase), -amplitude * np.sin(chirp_phase)]).astype(np.float32)

@@ -24,7 +24,7 @@ SCENE_ID = -1
 GROUND_ID = -2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Solids:
     """P solids in one frame. A point u of the unit shape lies at ``centre_m + from_unit @ u``."""
 
@@ -38,6 +38,9 @@ class Solids:
 
     def __len__(self) -> int:
         return len(self.shape)
+
+    def __repr__(self) -> str:
+        return f"Solids({len(self)})"
 
     @property
     def to_unit(self) -> np.ndarray:
