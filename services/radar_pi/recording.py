@@ -45,7 +45,7 @@ def open_recording(path: Path) -> Recording:
     try:
         return _open_folder(path) if path.is_dir() else _open_file(path)
     except OSError as error:
-        raise RecordingError(f"{path}: {error.strerror or error}") from None
+        raise RecordingError(f"{error.filename or path}: {error.strerror or error}") from None
     except RecordingError as error:
         raise RecordingError(f"{path}: {error}") from None
 
