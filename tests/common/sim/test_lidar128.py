@@ -11,6 +11,7 @@ from common.sim.lidar128 import RINGS, column_angles, directions, scan
 from common.sim.model import Player, Scenario
 from common.sim.motion import Straight
 from common.sim.raycast import cast
+from common.sim.roadside import roadside
 from common.sim.scene import Ground, Mount, Scene, post
 from common.sim.solids import GROUND_ID, KINDS
 from common.sim.world import SCENARIOS
