@@ -117,6 +117,7 @@ def test_start_up_sequence_on_the_wire(chip, clock, report) -> None:
     written = DEFAULT.registers | {Register.SFCTL: sfctl}
     assert log[8 : 8 + 38] == [_command(Register(a), v) for a, v in written.items()]
     assert log[46 : 46 + 38] == [_command(Register(a)) for a in written]  # read back
+    assert log.pop(87) == _command(Register.FSTAT)  # is the test pattern complete?
     test = log[84:91]
     assert test[0] == _command(Register.CS1_U_1, 0x1FF41F)  # receiver 1 alone
     assert int(test[1], 16) & reg.LFSR_EN.mask
