@@ -14,6 +14,7 @@ import numpy as np
 from services.infra_lidar import kernels_clusters as clusters
 from services.infra_lidar import kernels_labels as labels
 from services.infra_lidar import kernels_merge as merging
+from services.infra_lidar import kernels_split as splitting
 from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.ground import Levelled
@@ -63,20 +64,23 @@ class Clustering:
 
     def cluster(self, frame: Levelled) -> ClusterPoints:
         """Group the points of a frame that are not ground."""
+        config = self._config
         x, y, z, above, source, low = self._candidates(frame)
         label, components = self._components(x, y, low)
-        if self._config.body_height_m > 0:
+        if config.body_height_m > 0:
             self._join_high(label, above, low, components)
             components = self._label_high(x, y, label, low, components)
-        offsets, order, count = self._group(label, components)
-        box = self._measure(x, y, z, above, order, offsets)
-        if self._config.merge:
-            components = self._merge(label, box, np.diff(offsets))
-            offsets, order, count = self._group(label, components)
-            box = self._measure(x, y, z, above, order, offsets)
-        keep = self._valid(box, np.diff(offsets))
-        clusters.renumber(label, keep)
-        kept = int(keep.max()) + 1 if len(keep) else 0
+        components = self._join(x, y, z, above, label, components)
+        kept = self._filter(x, y, z, above, label, components)
+        if config.trim_ground:
+            offsets, order, _ = self._group(label, kept)
+            splitting.trim_feet(z, above, order, offsets, label)
+        if config.split == "gap":
+            offsets, order, _ = self._group(label, kept)
+            splitting.split_rows(x, y, z, order, offsets, label)
+            kept = self._compact(label)
+        if config.merge == "engulfed":
+            kept = self._engulf(x, y, z, label, kept)
         offsets, order, count = self._group(label, kept)
         box = self._measure(x, y, z, above, order, offsets)
         cluster_id = self._buffers.take("cluster_id", len(frame.x), np.int32)
@@ -130,10 +134,43 @@ class Clustering:
         label[free] = np.where(high >= 0, high + components, -1)
         return components + found
 
-    def _merge(self, label: np.ndarray, box: np.ndarray, counts: np.ndarray) -> int:
+    def _join(
+        self, x: np.ndarray, y: np.ndarray, z: np.ndarray, above: np.ndarray, label: np.ndarray, components: int
+    ) -> int:
         """Join fragments of vehicles; returns the number of components that are left."""
-        group = np.empty(len(counts), np.int32)
-        merging.merge_fragments(box, counts, MIN_FRAGMENT_POINTS, group)
+        if self._config.merge != "fragments":
+            return components
+        offsets, order, _ = self._group(label, components)
+        group = np.empty(components, np.int32)
+        merging.merge_fragments(
+            self._measure(x, y, z, above, order, offsets), np.diff(offsets), MIN_FRAGMENT_POINTS, group
+        )
+        return self._regroup(label, group)
+
+    def _filter(
+        self, x: np.ndarray, y: np.ndarray, z: np.ndarray, above: np.ndarray, label: np.ndarray, components: int
+    ) -> int:
+        """Drop components of impossible size; returns how many are left."""
+        offsets, order, _ = self._group(label, components)
+        keep = self._valid(self._measure(x, y, z, above, order, offsets), np.diff(offsets))
+        clusters.renumber(label, keep)
+        return int(keep.max(initial=-1)) + 1
+
+    def _engulf(self, x: np.ndarray, y: np.ndarray, z: np.ndarray, label: np.ndarray, components: int) -> int:
+        offsets, order, _ = self._group(label, components)
+        group = np.empty(components, np.int32)
+        splitting.join_engulfed(x, y, z, order, offsets, group)
+        return self._regroup(label, group)
+
+    def _compact(self, label: np.ndarray) -> int:
+        """Renumber labels without gaps; returns how many there are."""
+        used = np.unique(label[label >= 0])
+        number = np.full(int(used.max(initial=-1)) + 1, -1, np.int32)
+        number[used] = np.arange(len(used))
+        clusters.renumber(label, number)
+        return len(used)
+
+    def _regroup(self, label: np.ndarray, group: np.ndarray) -> int:
         first, number = np.unique(group, return_inverse=True)
         clusters.renumber(label, number.astype(np.int32))
         return len(first)

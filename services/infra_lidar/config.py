@@ -1,7 +1,7 @@
 """Every setting of the infrastructure lidar service; ``infra_lidar.toml`` lists them with units and reasons.
 
-The defaults are our own design. ``article_config()`` has the settings of the article the pipeline started from (see
-README.md), for comparison and for the benchmark.
+The defaults are our own design. ``ARTICLE_GROUND`` and ``ARTICLE_CLUSTERING`` are the settings of the article the
+pipeline started from (see README.md), for comparison and for the benchmark.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ class ClusteringConfig(Section, frozen=True, kw_only=True):
     max_diagonal_m: Positive = 20.0
     body_height_m: NotNegative = 2.2  # cells are filled by points below this; higher ones join tall things. 0 = off
     trim_ground: bool = False  # the article's second look at a cluster's lowest points
-    split: bool = True
-    merge: bool = True
+    split: Literal["gap", "off"] = "off"  # "gap": cut rows of people at gaps along their main axis, as the article
+    merge: Literal["fragments", "engulfed", "off"] = "fragments"  # pieces of vehicles; or (article) boxes inside boxes
 
 
 class BackgroundConfig(Section, frozen=True, kw_only=True):
@@ -138,6 +138,15 @@ class TrackingConfig(Section, frozen=True, kw_only=True):
     movement_m: Positive = 0.5  # a track is standing until it has come this far within movement_s
     movement_s: Positive = 1.0
     first_id: Annotated[int, Meta(ge=0, le=9999)] = 0  # several sensors on one host: give each its own
+
+
+ARTICLE_GROUND = GroundConfig(
+    method="flat", range_max_m=80.0, height_min_m=-1.0, height_max_m=3.0, ring_m=5.0, below_m=0.10, keep_below=True
+)  # fmt: skip
+ARTICLE_CLUSTERING = ClusteringConfig(
+    cell_growth_m=0.0, min_cell_points=2, min_points=20, max_points=15_000, min_top_m=-100.0, max_diagonal_m=15.0,
+    body_height_m=0.0, trim_ground=True, split="gap", merge="engulfed",
+)  # fmt: skip
 
 
 class InfraLidarConfig(ServiceConfig, frozen=True, kw_only=True):
