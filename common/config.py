@@ -139,9 +139,15 @@ def _refuse_unknown(
     for key, value in document.items():
         if key not in fields:
             raise ConfigError(f"{origin}: {_unknown_key(key, value, sorted(fields), path)}")
-        nested = _struct_in(fields[key])
-        if nested is not None and isinstance(value, Mapping):
-            _refuse_unknown(nested, value, origin, f"{path}.{key}" if path else key)
+        nested, where = _struct_in(fields[key]), f"{path}.{key}" if path else key
+        if nested is None or not isinstance(value, Mapping):
+            continue
+        if typing.get_origin(fields[key]) is dict:  # a table of structs under names of the user's choice
+            for name, entry in value.items():
+                if isinstance(entry, Mapping):
+                    _refuse_unknown(nested, entry, origin, f"{where}.{name}")
+        else:
+            _refuse_unknown(nested, value, origin, where)
 
 
 def _struct_in(hint: Any) -> type[msgspec.Struct] | None:
