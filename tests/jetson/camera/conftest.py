@@ -24,9 +24,9 @@ def texture() -> np.ndarray:
     """(480, 640, 3) uint8: a picture with structure at every scale, about as rich as a photograph."""
     rng = np.random.default_rng(3)
     picture = np.zeros((480, 640, 3), np.float32)
-    for cells in (4, 8, 16, 32, 64, 128, 256):
-        noise = rng.normal(0, 1, (cells * 3 // 4, cells, 3)).astype(np.float32)
-        picture += 24 * cv2.resize(noise, (640, 480), interpolation=cv2.INTER_NEAREST)
+    for cells, strength in ((4, 40), (8, 30), (16, 24), (32, 18), (64, 18), (128, 18), (256, 18)):
+        noise = rng.normal(0, strength, (cells * 3 // 4, cells, 1)).astype(np.float32)
+        picture += cv2.resize(noise, (640, 480), interpolation=cv2.INTER_NEAREST)[..., None]
     return np.clip(picture + 115, 0, 255).astype(np.uint8)
 
 

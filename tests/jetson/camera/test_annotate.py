@@ -1,0 +1,55 @@
+"""The published picture: a JPEG of the right size with boxes, made from a copy."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from common.messages import CameraDetection, CameraDetections
+from services.jetson.camera.annotate import caption, draw, picture
+from services.jetson.camera.config import ImageConfig, ZoneConfig
+
+PERSON = CameraDetection(
+    label="person", confidence=0.9, box_xyxy_px=(200.0, 100.0, 300.0, 400.0), distance_m=0.6, nearest_m=0.4,
+    level="IMMINENT", in_zone=True, truncated=False,
+)  # fmt: skip
+
+
+def seen(*detections: CameraDetection, **fields: object) -> CameraDetections:
+    return CameraDetections(
+        stamp_ns=5, frame_id="camera", detections=list(detections), brightness=100.0, level=None,
+        image_size_px=(640, 480), **fields,
+    )  # fmt: skip
+
+
+def test_the_message_is_a_jpeg_with_the_pictures_stamp() -> None:
+    image = np.full((480, 640, 3), 90, np.uint8)
+    message = picture(image, seen(PERSON), ZoneConfig(), ImageConfig())
+    assert (message.format, message.stamp_ns, message.frame_id) == ("jpeg", 5, "camera")
+    decoded = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR)
+    assert decoded.shape == image.shape
+    blue, _, red = decoded[250, 200].astype(int)
+    assert red > blue + 80  # the side of the box, in the colour of IMMINENT
+    assert np.all(image == 90)  # the picture itself is untouched
+
+
+def test_a_large_picture_is_published_smaller_with_the_boxes_in_place() -> None:
+    image = np.zeros((960, 1280, 3), np.uint8)
+    canvas = draw(image, seen(PERSON), ZoneConfig(), max_width_px=640)
+    assert canvas.shape == (480, 640, 3)
+    assert canvas[125, 100].any()  # half of (200, 250)
+
+
+def test_a_degraded_camera_says_why_in_the_picture() -> None:
+    image = np.full((480, 640, 3), 90, np.uint8)
+    canvas = draw(image, seen(state="degraded", reason="dark: mean brightness 12"), ZoneConfig(), 640)
+    assert (canvas[2, 600] == 0).all()
+
+
+def test_captions_say_at_most_for_cut_off_boxes() -> None:
+    assert caption(PERSON) == "person 0.4 m"
+    cut = CameraDetection(
+        label="car", confidence=0.9, box_xyxy_px=(0, 0, 9, 9), distance_m=3.0, level="SAFE", in_zone=True,
+        truncated=True,
+    )  # fmt: skip
+    assert caption(cut) == "car <= 3.0 m"

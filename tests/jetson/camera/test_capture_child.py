@@ -1,0 +1,232 @@
+"""The capture child: a real process that is killed, stopped, hangs in the middle of a picture, or never comes.
+
+The child is a small script with the contract of the real one (raw BGR rows on stdout); where GStreamer is installed the
+same is done with ``gst-launch-1.0`` and its test picture.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from common.messages import ServiceStatus
+from common.source_url import SourceUrl
+from common.status import Report
+from services.jetson.camera.child import CaptureChild, CaptureLost
+from services.jetson.camera.config import CameraConfig, CaptureConfig
+from services.jetson.camera.frames import Frame, NewestFrames
+from services.jetson.camera.source import command, open_source
+
+WIDTH, HEIGHT = 64, 48
+BUDGET_S = 30.0
+
+# Says its process id, then one picture every 20 ms whose pixels count up; in its first life it may misbehave.
+CHILD = """
+import os, pathlib, sys, time
+place, misbehaviour, size = pathlib.Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]) * int(sys.argv[4]) * 3
+lives = place / "lives"
+first = not lives.exists()
+with lives.open("a") as book:
+    book.write(f"{os.getpid()}\\n")
+out = sys.stdout.buffer
+for number in range(1_000_000):
+    picture = bytes([number % 256]) * size
+    if first and number == 5 and misbehaviour == "hang":
+        out.write(picture[: size // 2]); out.flush()
+        time.sleep(1000)
+    if first and number == 5 and misbehaviour == "end":
+        sys.exit("ERROR: no cameras available")
+    out.write(picture); out.flush()
+    time.sleep(0.02)
+"""
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    (tmp_path / "child.py").write_text(CHILD)
+    return tmp_path
+
+
+def child_command(place: Path, misbehaviour: str = "none") -> list[str]:
+    return [sys.executable, str(place / "child.py"), str(place), misbehaviour, str(WIDTH), str(HEIGHT)]
+
+
+def lives(place: Path) -> list[int]:
+    book = place / "lives"
+    return [int(line) for line in book.read_text().split()] if book.exists() else []
+
+
+def gone(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def until(condition: Callable[[], object], what: str) -> None:
+    deadline_s = time.monotonic() + BUDGET_S
+    while not condition():
+        assert time.monotonic() < deadline_s, f"not in time: {what}"
+        threading.Event().wait(0.01)
+
+
+class Watched:
+    """The service's own capture loop with a reader that keeps the newest frame and a copy of every status change."""
+
+    def __init__(self, config: CameraConfig) -> None:
+        self.report = Report("test")
+        self.frames: list[Frame] = []
+        self.statuses: list[ServiceStatus] = []
+        source, lossless = open_source(config, self.report)
+        self._newest = NewestFrames(source, self.report, lossless)
+
+    def look(self) -> None:
+        status = self.report.snapshot()
+        if not self.statuses or self.statuses[-1].state != status.state:
+            self.statuses.append(status)
+
+    def lost(self) -> bool:
+        self.look()
+        return self.statuses[-1].state == "disconnected"
+
+    def more_frames(self, count: int = 3) -> None:
+        wanted = len(self.frames) + count
+        until(lambda: len(self.frames) >= wanted, f"{count} more frames")
+
+    @contextmanager
+    def running(self) -> Iterator[Watched]:
+        def read() -> None:
+            for frame in self._newest:
+                self.frames.append(frame)
+                self.report.state("online")
+
+        with self._newest:
+            reader = threading.Thread(target=read)
+            reader.start()
+            yield self
+        reader.join(5)
+        assert not reader.is_alive()
+
+
+def config_with(child: list[str], **capture: object) -> CameraConfig:
+    settings = {"frame_timeout_s": 0.4, "retry_min_s": 0.3, "width_px": WIDTH, "height_px": HEIGHT, **capture}
+    return CameraConfig(source="csi:0", capture=CaptureConfig(csi_command=tuple(child), **settings))
+
+
+def gstreamer_command() -> list[str]:
+    if shutil.which("gst-launch-1.0") is None:
+        pytest.skip("gst-launch-1.0 is not installed; the script in Python covers the same contract")
+    caps = f"video/x-raw,format=BGR,width={WIDTH},height={HEIGHT},framerate=30/1"
+    return ["gst-launch-1.0", "-q", "videotestsrc", "is-live=true", "!", caps, "!", "fdsink", "fd=1", "sync=false"]
+
+
+def test_frames_are_whole_in_order_and_stamped(place: Path) -> None:
+    with CaptureChild(child_command(place), WIDTH, HEIGHT) as child:
+        frames = [child.read(BUDGET_S) for _ in range(4)]
+    for number, frame in enumerate(frames):
+        assert frame.image.shape == (HEIGHT, WIDTH, 3)
+        assert np.all(frame.image == number)
+        assert frame.stamp_ns <= frame.received_ns
+    assert gone(child.pid)
+
+
+def test_gstreamer_delivers_its_test_picture() -> None:
+    with CaptureChild(gstreamer_command(), WIDTH, HEIGHT) as child:
+        image = child.read(BUDGET_S).image
+        second = child.read(BUDGET_S).image
+    # SMPTE colour bars: white, yellow, cyan, green, magenta, red, blue from the left, in BGR
+    top = image[5, [4, 14, 23, 32, 41, 50, 59]].astype(int)
+    assert (top > 128).tolist() == [
+        [True, True, True], [False, True, True], [True, True, False], [False, True, False],
+        [True, False, True], [False, False, True], [True, False, False],
+    ]  # fmt: skip
+    assert second.shape == image.shape
+
+
+@pytest.mark.parametrize("make", ["python", "gstreamer"])
+@pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_child_that_is_killed_or_frozen_is_noticed_ended_and_replaced(
+    place: Path, make: str, blow: signal.Signals
+) -> None:
+    if make == "gstreamer":
+        launch = " ".join(f"'{part}'" for part in gstreamer_command())
+        shell = f"echo $$ >> '{place}/lives'; exec {launch}"
+        child = ["/bin/sh", "-c", shell.replace("{", "{{").replace("}", "}}")]
+    else:
+        child = child_command(place)
+    with Watched(config_with(child)).running() as watched:
+        watched.more_frames()
+        victim = lives(place)[0]
+        os.kill(victim, blow)
+        until(watched.lost, "the loss")
+        until(lambda: gone(victim), "the end of the old child")
+        watched.more_frames()
+        assert len(lives(place)) == 2
+        assert "nvargus-daemon" in watched.statuses[-1].reason
+    assert gone(lives(place)[-1])
+
+
+@pytest.mark.parametrize(
+    ("misbehaviour", "told"),
+    [("hang", "no whole picture for 0.4 s"), ("end", "ended with code 1: ERROR: no cameras available")],
+)
+def test_a_child_that_hangs_in_a_picture_or_ends_is_replaced(place: Path, misbehaviour: str, told: str) -> None:
+    with Watched(config_with(child_command(place, misbehaviour))).running() as watched:
+        until(watched.lost, "the loss")
+        assert told in watched.statuses[-1].reason
+        before = len(watched.frames)
+        watched.more_frames()
+        assert np.all(watched.frames[before].image == watched.frames[before].image[0, 0, 0])  # no torn picture
+        assert len(lives(place)) == 2
+
+
+def test_a_program_that_is_not_installed_is_said_so() -> None:
+    with Watched(config_with(["no-such-program-here"])).running() as watched:
+        until(watched.lost, "the loss")
+        assert "no-such-program-here is not installed" in watched.statuses[-1].reason
+
+
+def test_the_pause_between_attempts_grows_to_its_limit(place: Path) -> None:
+    failing = [sys.executable, "-c", f"open({str(place / 'lives')!r}, 'a').write('1 '); raise SystemExit(3)"]
+    with Watched(config_with(failing, retry_min_s=0.01, retry_max_s=0.02)).running() as watched:
+        until(lambda: len(lives(place)) >= 4, "four attempts")
+        until(watched.lost, "the loss")
+        assert "ended with code 3" in watched.statuses[-1].reason
+
+
+def test_a_silent_child_is_given_up_after_the_start_timeout(place: Path) -> None:
+    silent = [sys.executable, "-c", "import time; time.sleep(1000)"]
+    with (
+        CaptureChild(silent, WIDTH, HEIGHT) as child,
+        pytest.raises(CaptureLost, match=r"no whole picture for 0\.2 s"),
+    ):
+        child.read(0.2)
+    assert gone(child.pid)
+
+
+def test_a_v4l2_device_that_is_not_there_is_told_without_starting_a_child() -> None:
+    config = CameraConfig(source="v4l2:99")
+    with Watched(config).running() as watched:
+        until(watched.lost, "the loss")
+        assert watched.statuses[-1].reason.endswith("/dev/video99 is not there; plug the camera in")
+
+
+def test_built_in_commands_name_the_device_the_mode_and_the_size() -> None:
+    capture = msgspec.structs.replace(CaptureConfig(), width_px=640, height_px=480)
+    csi = " ".join(command(SourceUrl("csi", "1"), capture))
+    assert "nvarguscamerasrc sensor-id=1" in csi
+    assert "width=1920,height=1080,framerate=30/1" in csi
+    assert csi.endswith("video/x-raw,format=BGR,width=640,height=480 ! fdsink fd=1 sync=false")
+    assert "v4l2src device=/dev/video0" in " ".join(command(SourceUrl("v4l2", "0"), capture))
