@@ -93,9 +93,10 @@ class CfarConfig(Section, frozen=True, kw_only=True):
 class DetectionConfig(Section, frozen=True, kw_only=True):
     """Cells over threshold -> one detection per body."""
 
-    body_range_m: Positive = 0.45  # a body spreads this far around its strongest cell
+    body_range_m: Positive = 0.6  # a body spreads this far around its strongest cell
     body_velocity_mps: Positive = 2.2  # limbs swing this much faster or slower than the trunk
     body_azimuth_rad: Positive = 0.5
+    part_db: NotNegative = 15.0  # the nearest part not weaker than this below the strongest gives the range
     moving_mps: Positive = 0.15  # slower peaks stand and never take a moving one
     vehicle_length_m: NotNegative = 3.0  # one behind the other, equally fast, in one direction: one vehicle
     vehicle_velocity_mps: Positive = 0.25
@@ -117,7 +118,7 @@ class AzimuthConfig(Section, frozen=True, kw_only=True):
 class TrackingConfig(Section, frozen=True, kw_only=True):
     """Kalman tracks in range, range rate and azimuth."""
 
-    sigma_range_m: Positive = 0.05  # measurement noise, standard deviations
+    sigma_range_m: Positive = 0.12  # measurement noise, standard deviations
     sigma_velocity_mps: Positive = 0.15
     sigma_azimuth_rad: Positive = 0.09
     sigma_acceleration_mps2: Positive = 3.0  # process noise

@@ -72,8 +72,9 @@ def group(
 ) -> list[Detection]:
     """One detection per body, nearest first; the arrays hold each peak's measured values, strongest first.
 
-    Moving peaks choose first: a moving body takes what stands near it, but what stands (clutter that the body shadows,
-    for example) never takes a moving body.
+    Velocity and direction are those of the strongest peak (the trunk), range is that of the nearest strong part: when
+    a foot touches a low radar, the trunk is still a metre away. Moving peaks choose first: a moving body takes what
+    stands near it, but what stands (clutter that the body shadows, for example) never takes a moving body.
     """
     free = np.ones(len(range_m), bool)
     moving = np.abs(velocity_mps) >= config.moving_mps
@@ -81,14 +82,15 @@ def group(
     for i in np.concatenate([np.flatnonzero(moving), np.flatnonzero(~moving)]):
         if not free[i] or len(bodies) == config.max_detections:
             continue
-        azimuth = None if np.isnan(azimuth_rad[i]) else float(azimuth_rad[i])
-        bodies.append(Detection(float(range_m[i]), float(velocity_mps[i]), azimuth, float(peaks.snr_db[i])))
         apart_mps = np.abs(velocity_mps - velocity_mps[i])
         body = (
             (np.abs(range_m - range_m[i]) <= config.body_range_m)
             & (np.minimum(apart_mps, 2 * v_max_mps - apart_mps) <= config.body_velocity_mps)
             & (np.nan_to_num(np.abs(azimuth_rad - azimuth_rad[i])) <= config.body_azimuth_rad)
         )
+        part = body & free & (moving == moving[i]) & (peaks.power_db >= peaks.power_db[i] - config.part_db)
+        azimuth = None if np.isnan(azimuth_rad[i]) else float(azimuth_rad[i])
+        bodies.append(Detection(float(range_m[part].min()), float(velocity_mps[i]), azimuth, float(peaks.snr_db[i])))
         beside = (np.abs(peaks.row - peaks.row[i]) <= 1) | (np.abs(peaks.column - peaks.column[i]) <= 1)
         free &= ~(body | (beside & (peaks.power_db < peaks.power_db[i] - config.sidelobe_db)))
     return _join_long(bodies, config)
