@@ -14,7 +14,7 @@ import numpy as np
 from common.geometry import pose_2d
 from common.sim.bodies import DEFAULT_SIZE_M, body
 from common.sim.raycast import cast
-from common.sim.solids import BOX, CYLINDER, SPHERE, Solids, join, solid
+from common.sim.solids import BOX, CYLINDER, PARTS, SPHERE, Solids, join, solid
 from services.infra_lidar.classes import CLASSES
 
 POLE_M = 5.5
@@ -109,14 +109,32 @@ def read_folder(folder: Path, min_points: int = 5) -> LabelledClusters:
     return collect(clusters, ground, labels, groups)
 
 
-def generated_clusters(seed: int, per_class: int, min_points: int = 10) -> LabelledClusters:
-    """``per_class`` clusters of every class, seeded; each is its own group."""
+def roughened(clusters: LabelledClusters, seed: int, min_points: int = 10) -> LabelledClusters:
+    """The same clusters as another sensor might see them: fewer points, other proportions, a road height that is off.
+
+    Groups stay, so that a cluster and its rough copy never stand on both sides of a split.
+    """
+    rng = np.random.default_rng(seed)
+    rough: list[np.ndarray] = []
+    ground: list[float] = []
+    for k in range(len(clusters)):
+        points = clusters.points[clusters.offsets[k] : clusters.offsets[k + 1]].astype(np.float64)
+        keep = max(min(min_points, len(points)), round(rng.uniform(0.1, 1.0) * len(points)))
+        points = points[np.sort(rng.choice(len(points), keep, replace=False))]
+        foot = np.array([*points[:, :2].mean(axis=0), clusters.ground_z_m[k]])
+        rough.append(foot + (points - foot) * rng.uniform(0.9, 1.1, 3))
+        ground.append(float(clusters.ground_z_m[k] + rng.normal(0.0, 0.06)))
+    return collect(rough, ground, clusters.labels.tolist(), clusters.groups.tolist())
+
+
+def generated_clusters(seed: int, per_class: int, min_points: int = 10, background: int = 1) -> LabelledClusters:
+    """``per_class`` clusters of every class and ``background`` times as many of that, seeded; each is its own group."""
     rng = np.random.default_rng(seed)
     clusters: list[np.ndarray] = []
     labels: list[int] = []
     for label, name in enumerate(CLASSES):
         made = 0
-        while made < per_class:
+        while made < per_class * (background if name == "background" else 1):
             points = _look_at(rng, _body(rng, name))
             if len(points) >= min_points:
                 clusters.append(points)
@@ -134,8 +152,8 @@ def _body(rng: np.random.Generator, name: str) -> Solids:
 
 
 def _fixture(rng: np.random.Generator) -> Solids:
-    """Something of the street: wall piece, pole, bush, tree, bin, fence."""
-    kind = rng.integers(6)
+    """Something of the street: wall piece, pole, bush, tree, bin, fence, hedge."""
+    kind = rng.integers(8)
     height = rng.uniform(0.6, 5.0)
     if kind == 0:
         half = (rng.uniform(0.5, 6.0), 0.15, height / 2)
@@ -144,7 +162,7 @@ def _fixture(rng: np.random.Generator) -> Solids:
         radius = rng.uniform(0.05, 0.25)
         return join([solid(CYLINDER, (0.0, 0.0, height / 2), (radius, radius, height / 2), "pole", "metal")])
     if kind == 2:
-        x, y, z = rng.uniform(0.3, 1.5, 3)
+        x, y, z = rng.uniform(0.3, 2.0, 3)
         return join([solid(SPHERE, (0.0, 0.0, z * 0.8), (x, y, z), "bush", "leaves")])
     if kind == 3:
         crown = rng.uniform(0.8, 1.8)
@@ -153,6 +171,15 @@ def _fixture(rng: np.random.Generator) -> Solids:
     if kind == 4:
         x, y, z = rng.uniform(0.2, 0.8, 3)
         return join([solid(BOX, (0.0, 0.0, z), (x, y, z), "wall", "metal")])
+    if kind == 5:
+        x, y, z = rng.uniform(0.5, 5.0), rng.uniform(0.2, 0.6), rng.uniform(0.3, 1.2)
+        return join([solid(BOX, (0.0, 0.0, z), (x, y, z), "bush", "leaves")])
+    if kind == 6:
+        crowns = [rng.uniform(0.3, 1.4, 3) for _ in range(rng.integers(2, 5))]
+        places = [(*rng.uniform(-1.2, 1.2, 2), 0.9 * crown[2]) for crown in crowns]
+        return join(
+            [solid(SPHERE, place, (x, y, z), "bush", "leaves") for place, (x, y, z) in zip(places, crowns, strict=True)]
+        )
     posts = [solid(BOX, (1.2 * i, 0.0, 0.5), (0.05, 0.05, 0.5), "pole", "metal") for i in range(rng.integers(2, 5))]
     rail = solid(BOX, (1.2, 0.0, 0.9), (1.8, 0.03, 0.05), "pole", "metal")
     return join([*posts, rail])
@@ -164,9 +191,10 @@ def _look_at(rng: np.random.Generator, shape: Solids) -> np.ndarray:
     place = pose_2d(distance * np.cos(bearing), distance * np.sin(bearing), rng.uniform(-np.pi, np.pi))
     shape = shape.placed(place, 0, np.zeros(3))
     rays = _rays(shape, np.array([0.0, 0.0, POLE_M]))
-    range_m, _ = cast(np.array([0.0, 0.0, POLE_M]), rays, shape)
+    range_m, hit = cast(np.array([0.0, 0.0, POLE_M]), rays, shape)
     seen = np.isfinite(range_m) & (rng.random(len(rays)) > rng.choice([0.0, 0.05, 0.3]))
-    noisy = range_m[seen] + rng.normal(0.0, 0.02, int(seen.sum()))
+    leafy = shape.part[hit[seen]] == PARTS.index("leaves")  # leaves are hit somewhere inside
+    noisy = range_m[seen] + rng.normal(0.0, 0.02, int(seen.sum())) + leafy * rng.exponential(0.15, int(seen.sum()))
     points = np.array([0.0, 0.0, POLE_M]) + noisy[:, None] * rays[seen]
     points = points[points[:, 2] > rng.uniform(0.10, 0.25)]
     return _occlude(rng, points).astype(np.float32)

@@ -1,0 +1,110 @@
+"""Further subcommands of spotter-infra-lidar: train, evaluate, plot."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from common.launch import setup_logging
+from services.infra_lidar.classifier import SHIPPED_MODEL
+from services.infra_lidar.config import InfraLidarConfig
+
+log = logging.getLogger(__name__)
+
+TRAIN_SEED, TEST_SEED = 1000, 5000  # scenes from here on; never the same
+Folder = Annotated[
+    Path | None, typer.Argument(metavar="DIR", help="{train,test}/<class>/*.bin; without it generated scenes are used.")
+]
+Scenes = Annotated[int, typer.Option("--scenes", min=2, help="Generated roadside scenes.")]
+FeatureSet = Annotated[
+    str, typer.Option("--features", help="A feature set; default: spotter for scenes, shape for a folder.")
+]
+
+
+def add_commands(app: typer.Typer) -> None:
+    """Register the subcommands."""
+    app.command("train")(train)
+    app.command("evaluate")(evaluate)
+    app.command("plot")(plot)
+
+
+def train(
+    folder: Folder = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="The model file.")] = Path("forest.npz"),
+    scenes: Scenes = 96,
+    bodies: Annotated[int, typer.Option("--bodies", min=0, help="Single generated bodies per class besides.")] = 300,
+    features: FeatureSet = "",
+    trees: Annotated[int, typer.Option("--trees", min=1)] = 100,
+) -> None:
+    """Train a forest from labelled clusters, or from generated scenes, and store it as plain arrays."""
+    setup_logging("infra_lidar")
+    from services.infra_lidar import training_data  # scikit-learn: the train extra
+    from services.infra_lidar.train import train_forest
+
+    clusters, story = training_data.training_set(folder, scenes, bodies, TRAIN_SEED)
+    log.info("training on %d clusters", len(clusters))
+    name = features or ("shape" if folder else "spotter")
+    forest = train_forest(clusters, name, story, trees=trees, max_leaves=500)
+    forest.save(output)
+    size_kb = output.stat().st_size / 1e3
+    _say(f"{output}: {trees} trees, {len(forest.child)} nodes, {size_kb:.0f} kB, {forest.digest[:12]}")
+
+
+def evaluate(
+    folder: Folder = None,
+    model: Annotated[Path, typer.Option("--model", help="Default: the model that is shipped.")] = SHIPPED_MODEL,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder for the pictures.")] = None,
+    scenes: Scenes = 24,
+    ablate: Annotated[bool, typer.Option("--ablation", help="Train and judge every feature set.")] = False,
+) -> None:
+    """Per-class table, confusion matrix, confidence and the ablation over feature sets, on groups not trained on."""
+    setup_logging("infra_lidar")
+    from services.infra_lidar import evaluate as evaluation
+    from services.infra_lidar import training_data
+    from services.infra_lidar.forest import load_forest
+
+    test = training_data.test_set(folder, scenes, TEST_SEED)
+    result = evaluation.evaluate_forest(load_forest(model), test)
+    _say(evaluation.class_table(result), "", evaluation.confusion_table(result))
+    rows = []
+    if ablate:
+        _say("", evaluation.ablation_head())
+        learn, _ = training_data.training_set(folder, scenes, 0, TRAIN_SEED)
+        for name, row in evaluation.ablation(learn, test, training_data.small_forest):
+            if not (folder and name == "spotter"):  # centred clusters have no range
+                rows.append((name, row))
+                _say(evaluation.ablation_row(name, row))
+    if output:
+        from services.infra_lidar import evaluate_plots
+
+        evaluate_plots.draw_confusion(result, output / "confusion.png")
+        evaluate_plots.draw_confidence(result, output / "confidence.png")
+        if rows:
+            evaluate_plots.draw_ablation(rows, output / "ablation.png")
+        _say(f"pictures in {output}")
+
+
+def plot(
+    source: Annotated[str, typer.Argument(metavar="SOURCE", help="Source URL, e.g. file:FOLDER or sim:crossing.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of PNGs, or a file ending in .mp4.")],
+    frames: Annotated[int, typer.Option("--frames", min=1, help="Stop after this many.")] = 100,
+    config: Annotated[Path | None, typer.Option("--config")] = None,
+    reach: Annotated[float, typer.Option("--reach", help="Metres shown to each side.")] = 60.0,
+) -> None:
+    """Top view of a recording: ground, clusters by class, tracks with their ids and ways."""
+    setup_logging("infra_lidar")
+    from common.launch import load_config
+    from services.infra_lidar.plot import plot_source
+
+    settings = load_config(InfraLidarConfig, config, None, source)
+    count = plot_source(settings, output, frames, reach)
+    _say(f"{count} frames drawn to {output}")
+
+
+def _say(*lines: str) -> None:
+    sys.stdout.write("\n".join(lines) + "\n")
+    sys.stdout.flush()

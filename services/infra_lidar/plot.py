@@ -1,0 +1,149 @@
+"""Top view of a recording: ground, clusters by class, boxes, ids and ways of the tracks. PNGs, or MP4 with OpenCV."""
+
+from __future__ import annotations
+
+import logging
+from collections import defaultdict, deque
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from common.config import ConfigError
+from common.geometry import transform_points
+from common.messages import ObjectTrack
+from common.status import Report
+from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.pipeline import InfraLidarPipeline
+from services.infra_lidar.result import FrameResult
+from services.infra_lidar.source import open_source
+
+log = logging.getLogger(__name__)
+
+COLOURS = {
+    "car": "#3b7dd8", "large_vehicle": "#9b59d0", "cyclist": "#e8a317", "pedestrian": "#e0483e",
+    "background": "#8a8f98", "unknown": "#2fb5a8",
+}  # fmt: skip
+_GROUND, _OTHER = "#4b5a45", "#5c6068"
+_SIZE_PX = 1000
+_TRAIL = 30
+
+
+def plot_source(config: InfraLidarConfig, output: Path, frames: int, reach_m: float) -> int:
+    """Run the pipeline over a source and draw every frame; returns how many.
+
+    Raises:
+        ConfigError: an MP4 is asked for and OpenCV is not installed.
+    """
+    pipeline, ways = InfraLidarPipeline(config), Ways()
+    pictures = (
+        draw(pipeline.process(stamp_ns, frame.points, frame.quality), ways, reach_m)
+        for stamp_ns, frame in islice(open_source(config, Report("plot")), frames)
+    )
+    if output.suffix == ".mp4":
+        return _write_video(pictures, output)
+    output.mkdir(parents=True, exist_ok=True)
+    count = 0
+    for picture in pictures:
+        _save_png(picture, output / f"{count:05d}.png")
+        count += 1
+    return count
+
+
+class Ways:
+    """Where every track has been lately, for the lines behind it."""
+
+    def __init__(self) -> None:
+        self._places: dict[int, deque[tuple[float, float]]] = defaultdict(lambda: deque(maxlen=_TRAIL))
+
+    def follow(self, tracks: list[ObjectTrack]) -> list[np.ndarray]:
+        """Add this frame's places; (n, 2) metres per track, oldest first."""
+        for gone in self._places.keys() - {track.track_id for track in tracks}:
+            del self._places[gone]
+        for track in tracks:
+            self._places[track.track_id].append(track.position_m[:2])
+        return [np.array(self._places[track.track_id]) for track in tracks]
+
+
+def draw(result: FrameResult, ways: Ways, reach_m: float) -> np.ndarray:
+    """(H, W, 3) uint8 RGB picture of one frame in the map frame, x up, y to the left, the sensor in the middle."""
+    figure = Figure(figsize=(_SIZE_PX / 100, _SIZE_PX / 100), dpi=100, facecolor="#16181c", layout="constrained")
+    axes = figure.add_subplot(facecolor="#16181c")
+    _draw_points(axes, result)
+    tracks = [track for track in result.tracks.tracks if track.state != "tentative"]
+    trails = ways.follow(tracks)
+    axes.add_collection(LineCollection(trails, colors=[COLOURS[t.label] for t in tracks], linewidths=1.0, alpha=0.7))
+    for track in tracks:
+        _draw_track(axes, track)
+    centre = result.T_map_sensor[:2, 3]
+    axes.plot(centre[1], centre[0], marker="^", color="white", markersize=6)
+    axes.set(xlim=(centre[1] + reach_m, centre[1] - reach_m), ylim=(centre[0] - reach_m, centre[0] + reach_m))
+    axes.set_aspect("equal")
+    axes.tick_params(colors="#9aa0a8", labelsize=8)
+    moving = sum(np.hypot(*track.velocity_mps[:2]) > 0 for track in tracks)
+    text = f"{len(result.points)} points   {len(result.clusters)} clusters   {len(tracks)} tracks, {moving} moving"
+    axes.set_title(text, color="#d5d8dc", fontsize=10)
+    _draw_legend(axes)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _draw_points(axes: Axes, result: FrameResult) -> None:
+    at = transform_points(result.T_map_sensor, result.points[:, :3])
+    rest = ~result.ground & (result.cluster_id < 0)
+    for rows, colour, size in ((result.ground, _GROUND, 0.15), (rest, _OTHER, 0.15)):
+        axes.plot(at[rows, 1], at[rows, 0], ",", color=colour, markersize=size, alpha=0.5)
+    labels = np.array(result.clusters.labels, dtype=object)
+    clustered = np.flatnonzero(result.cluster_id >= 0)
+    of_point = labels[result.cluster_id[clustered]] if len(labels) else np.empty(0, object)
+    for label, colour in COLOURS.items():
+        rows = clustered[of_point == label]
+        axes.plot(at[rows, 1], at[rows, 0], ".", color=colour, markersize=1.2)
+
+
+def _draw_track(axes: Axes, track: ObjectTrack) -> None:
+    length, width, _ = track.size_m
+    c, s = np.cos(track.yaw_rad), np.sin(track.yaw_rad)
+    corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1], [1, 1]]) * [length / 2, width / 2]
+    outline = corners @ np.array([[c, s], [-s, c]]) + track.position_m[:2]
+    colour, style = COLOURS[track.label], ":" if track.state == "coasting" else "-"
+    axes.plot(outline[:, 1], outline[:, 0], style, color=colour, linewidth=1.2)
+    speed = float(np.hypot(*track.velocity_mps[:2]))
+    x, y = track.position_m[:2]
+    if speed > 0:
+        axes.plot([y, y + track.velocity_mps[1]], [x, x + track.velocity_mps[0]], color="white", linewidth=0.8)
+    text = f"{track.track_id % 10_000}" + (f"  {speed:.1f} m/s" if speed > 0 else "")
+    axes.text(y - 0.8, x + 0.8, text, color=colour, fontsize=6, clip_on=True)
+
+
+def _draw_legend(axes: Axes) -> None:
+    for label, colour in COLOURS.items():
+        axes.plot([], [], "s", color=colour, label=label.replace("_", " "))
+    axes.legend(loc="upper right", fontsize=7, facecolor="#22252b", edgecolor="none", labelcolor="#d5d8dc")
+
+
+def _save_png(picture: np.ndarray, path: Path) -> None:
+    from matplotlib.image import imsave
+
+    imsave(path, picture)
+
+
+def _write_video(pictures: Iterator[np.ndarray], path: Path) -> int:
+    try:
+        import cv2
+    except ImportError:
+        raise ConfigError(f"{path}: a video needs OpenCV, which is not installed; give a folder for PNGs") from None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10.0, (_SIZE_PX, _SIZE_PX))
+    count = 0
+    for picture in pictures:
+        video.write(picture[..., ::-1])
+        count += 1
+    video.release()
+    return count
