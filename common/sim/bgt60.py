@@ -102,9 +102,13 @@ def frame(name: str | Scenario, t_s: float, waveform: Waveform | None = None) ->
 def scatterers(world: WorldState) -> np.ndarray:
     """(T, 5) range, radial velocity, azimuth, elevation, amplitude at 1 m: one per solid in view, radar frame."""
     T_map_radar = world.T_map_vehicle @ T_vehicle_radar
-    origin = T_map_radar[:3, 3]
-    solids = world.solids_near(origin, _WITHIN_M, limbs=True)
-    point = transform_points(invert(T_map_radar), facing_point(solids, origin))
+    rows = echoes(world.solids_near(T_map_radar[:3, 3], _WITHIN_M, limbs=True), T_map_radar)
+    return rows[(np.abs(rows[:, 2]) < _FIELD_OF_VIEW_RAD) & (rows[:, 0] > 0.02)]
+
+
+def echoes(solids: Solids, T_map_radar: np.ndarray) -> np.ndarray:
+    """(P, 5) range, radial velocity, azimuth, elevation, amplitude at 1 m of every solid, radar frame."""
+    point = transform_points(invert(T_map_radar), facing_point(solids, T_map_radar[:3, 3]))
     range_m = np.linalg.norm(point, axis=1)
     velocity = np.sum(solids.velocity_mps @ T_map_radar[:3, :3] * point, axis=1) / range_m
     azimuth, elevation = np.arctan2(point[:, 1], point[:, 0]), np.arcsin(point[:, 2] / range_m)
@@ -112,8 +116,7 @@ def scatterers(world: WorldState) -> np.ndarray:
     area_m2 = np.minimum(4.0 * half[:, 1] * half[:, 2], 1.0)  # a flat wall reflects from one Fresnel zone only
     pattern = np.cos(azimuth) ** 2 * np.cos(elevation) ** 2
     amplitude = _ECHO_LSB[solids.part] * np.sqrt(area_m2) * pattern
-    seen = (np.abs(azimuth) < _FIELD_OF_VIEW_RAD) & (range_m > 0.02)
-    return np.column_stack([range_m, velocity, azimuth, elevation, amplitude])[seen]
+    return np.column_stack([range_m, velocity, azimuth, elevation, amplitude])
 
 
 def facing_point(solids: Solids, origin_m: np.ndarray) -> np.ndarray:

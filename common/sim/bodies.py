@@ -53,9 +53,10 @@ def _pedestrian(size_m: tuple[float, float, float], phase_rad: float, effort: fl
 
 @lru_cache(maxsize=512)
 def _trunk(height: float, broad: float) -> Solids:
-    torso = solid(SPHERE, (0.0, 0.0, 1.16 * height), (0.13, 0.20 * broad, 0.36 * height), "pedestrian", "cloth")
+    torso = solid(SPHERE, (0.0, 0.0, 1.20 * height), (0.13, 0.20 * broad, 0.32 * height), "pedestrian", "cloth")
     head = solid(SPHERE, (0.02, 0.0, 1.60 * height), (0.10, 0.085, 0.12 * height), "pedestrian", "skin")
-    return join([torso, head])
+    hips = solid(SPHERE, (0.0, 0.0, 0.90 * height), (0.13, 0.17 * broad, 0.20 * height), "pedestrian", "cloth")
+    return join([torso, hips, head])
 
 
 # A bicycle of 1.75 m with its rider: start, end (metres), radius, part.

@@ -43,19 +43,19 @@ def yard_and_street() -> Scene:
 
 def person_errand() -> Errand:
     """From the left corner into the corridor, head-on to the vehicle, a short stop, back to the corner."""
-    waiting, stop = (5.2, 2.3), (0.86, 0.0)
+    waiting, stop = (5.2, 2.3), (0.80, 0.0)
     turn_in = bezier(waiting, (4.3, 1.0), (4.0, 0.0), (3.2, 0.0))
     approach = Path(np.vstack([_points(turn_in), np.linspace((3.2, 0.0), stop, 120)[1:]]))
-    back = bezier(stop, (1.1, 1.4), (3.0, 3.4), waiting)
-    come = Ride(approach, start_s=0.1, speed_mps=1.3)
+    back = bezier(stop, (1.5, 0.8), (2.8, 3.6), waiting)
+    come = Ride(approach, start_s=0.1, speed_mps=1.35, accel_mps2=2.2)
     return Errand((come, Ride(back, come.start_s + come.duration_s + 0.8, speed_mps=1.3)), LENGTH_S)
 
 
 def car_errand() -> Errand:
     """The small car drives in through the gate, stops in front of the vehicle and backs out again."""
     half = 0.5 * SMALL_CAR_SIZE_M[0]
-    outside, inside = (6.4 + half, 0.0), (0.73 + half, 0.0)
-    come = Ride(line(outside, inside), start_s=7.3, speed_mps=1.5, accel_mps2=1.2)
+    outside, inside = (6.4 + half, 0.0), (0.70 + half, 0.0)
+    come = Ride(line(outside, inside), start_s=7.3, speed_mps=1.5, accel_mps2=1.5)
     out = Ride(line(inside, outside), come.start_s + come.duration_s + 0.8, 1.6, 1.2, backwards=True)
     return Errand((come, out), LENGTH_S)
 

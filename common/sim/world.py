@@ -15,7 +15,7 @@ from common.sim.model import FAULTS, Actor, DeviceUnplugged, Scenario, WorldStat
 # The model car: origin on the ground below its middle.
 VEHICLE_SIZE_M = (0.40, 0.191, 0.25)
 T_vehicle_ld06 = transform(translation=np.array([0.10, 0.0, 0.22]))
-T_vehicle_radar = transform(translation=np.array([0.20, 0.0, 0.16]))
+T_vehicle_radar = transform(translation=np.array([0.20, 0.0, 0.20]))
 T_vehicle_camera = transform(translation=np.array([0.16, 0.0, 0.24]))  # x forward: the optical axis
 
 SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in (crossing(), empty(), faults())}
