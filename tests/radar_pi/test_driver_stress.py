@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import closing
 
 import numpy as np
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.status import Report
@@ -13,6 +13,7 @@ from services.radar_pi.config import WaveformConfig
 from services.radar_pi.driver import Driver
 from services.radar_pi.emulator import EmulatedChip
 from services.radar_pi.exports import plan
+from services.radar_pi.manual_clock import START_S, ManualClock
 
 SMALL = plan(WaveformConfig(samples=32, chirps=16, sample_rate_hz=2e6, chirp_period_s=0.15e-3, frame_period_s=0.01))
 EVENTS = ("overflow", "underflow", "clock_error", "burst_error", "lost_words", "power_cycle")
@@ -51,10 +52,10 @@ def _schedule(clock, chip: EmulatedChip, events, lasting) -> None:
         clock.at(at_s + length_s, lambda fault=fault: chip.heal(fault))
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None)
 @given(events, lasting, pauses)
-def test_random_faults_never_damage_a_frame_and_never_stop_the_stream(clock, events, lasting, pauses) -> None:
-    clock.__init__()
+def test_random_faults_never_damage_a_frame_and_never_stop_the_stream(events, lasting, pauses) -> None:
+    clock = ManualClock()
     signal, report = Marked(), Report("stress")
     chip = EmulatedChip(clock, signal, speed_hz=50_000_000)
     _schedule(clock, chip, events, lasting)
@@ -67,20 +68,20 @@ def test_random_faults_never_damage_a_frame_and_never_stop_the_stream(clock, eve
             assert frame.stamp_ns > stamp_ns
             assert 0 < frame.received_ns - frame.stamp_ns < 0.3e9
             stamp_ns, epoch = frame.stamp_ns, frame.epoch
-            if clock.now_s > 1000.0 + LENGTH_S + 1.2:
+            if clock.now_s > START_S + LENGTH_S + 1.2:
                 break
             clock.sleep(slow.get(number, 0.0))
     assert not frame.note  # every fault is over, and so is every complaint
     assert epoch - 1 <= sum(n for name, n in report.snapshot().counters.items() if name != "lost_words")
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(st.floats(0.04, 0.08), st.sampled_from(EVENTS)), min_size=1, max_size=6))
-def test_after_a_volley_of_faults_frames_flow_again_within_half_a_second(clock, events) -> None:
-    clock.__init__()
+def test_after_a_volley_of_faults_frames_flow_again_within_half_a_second(events) -> None:
+    clock = ManualClock()
     chip = EmulatedChip(clock, Marked(), speed_hz=50_000_000)
     _schedule(clock, chip, events, [])
-    last_s = 1000.0 + max(at_s for at_s, _ in events)
+    last_s = START_S + max(at_s for at_s, _ in events)
     with closing(Driver(chip, clock, SMALL, 50_000_000, Report("stress")).frames()) as frames:
         while clock.now_s <= last_s:
             next(frames)
