@@ -7,30 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
 from scipy.stats import chi2, ncx2
 
 from common.messages import RadarTracks
-from common.sim.bgt60 import LEAKAGE, NOISE_LSB, Target, Waveform, simulate
-from services.radar_pi.axes import derive_axes
+from common.sim.bgt60 import LEAKAGE, NOISE_LSB, simulate
+from services.radar_pi.axes import C_MPS, derive_axes
 from services.radar_pi.cfar import build_cfar
 from services.radar_pi.config import CfarConfig, RadarConfig, WaveformConfig
 from services.radar_pi.pipeline import RadarPipeline
 from services.radar_pi.source import simulator_waveform
 from services.radar_pi.spectrum import RangeDoppler, mean_power, unit_window
-
-
-def amplitude_lsb(snr_db: float, range_m: float, velocity_mps: float, waveform: Waveform) -> float:
-    """The simulator's amplitude at 1 m that gives this cell SNR (after both FFTs, one receiver) on a bin's centre."""
-    gain = (unit_window("hann", waveform.samples).sum() * unit_window("hann", waveform.chirps).sum()) ** 2 / 4
-    at_adc = NOISE_LSB * np.sqrt(10 ** (snr_db / 10) / gain)
-    beat_hz = 2 / 299_792_458.0 * (waveform.slope_hz_per_s * range_m + waveform.start_frequency_hz * velocity_mps)
-    high_pass = beat_hz / np.hypot(beat_hz, waveform.hp_cutoff_hz)
-    low_pass = 1.0 / np.sqrt(1.0 + (beat_hz / waveform.lp_cutoff_hz) ** 8)
-    return float(at_adc * range_m**2 / (high_pass * low_pass))
 
 
 @dataclass(frozen=True)
@@ -54,6 +44,29 @@ def draw(rng: np.random.Generator, trials: int) -> Iterator[Truth]:
         )
 
 
+def exact_frame(truth: Truth, waveform: WaveformConfig, noise_lsb: float, rng: np.random.Generator) -> np.ndarray:
+    """ADC samples of a point that moves during chirp and frame: the FMCW equation, evaluated sample by sample.
+
+    ``truth`` holds at the first sample of the frame. The phase is that of emitted times received wave for the delay of
+    that very sample, 2 pi (f t_d + slope tau t_d - slope t_d^2 / 2): nothing of the pipeline's (or of the simulator's)
+    approximations is in it. Amplitude: the cell SNR of one receiver on a cell's centre.
+    """
+    axes = derive_axes(waveform)
+    gain = (unit_window("hann", waveform.samples).sum() * unit_window("hann", waveform.chirps).sum()) ** 2 / 4
+    amplitude = noise_lsb * np.sqrt(10 ** (truth.snr_db / 10) / gain)
+    tau_s = np.arange(waveform.samples) / waveform.sample_rate_hz
+    time_s = np.arange(waveform.chirps)[:, None] * waveform.chirp_period_s + tau_s
+    path_m = 2 * (truth.range_m + truth.velocity_mps * time_s)
+    frame = noise_lsb * rng.standard_normal((len(waveform.rx), waveform.chirps, waveform.samples))
+    frame += simulate(LEAKAGE, simulator_waveform(waveform), noise_lsb=0.0)
+    for i, rx in enumerate(waveform.rx):
+        detour_m = 2.5e-3 * np.sin(truth.azimuth_rad) if rx in (2, 3) else 0.0
+        delay_s = (path_m + detour_m) / C_MPS
+        turns = (axes.first_sample_hz + axes.slope_hz_per_s * (tau_s - delay_s / 2)) * delay_s
+        frame[i] += amplitude * np.cos(2 * np.pi * turns)
+    return np.clip(np.rint(frame), 0, 4095).astype(np.uint16)
+
+
 def settled_pipeline(config: RadarConfig) -> tuple[RadarPipeline, int]:
     """A pipeline that has seen its settling frames of an empty scene, and the next stamp."""
     pipeline = RadarPipeline(config)
@@ -67,14 +80,12 @@ def settled_pipeline(config: RadarConfig) -> tuple[RadarPipeline, int]:
 def approach(pipeline: RadarPipeline, start_ns: int, truth: Truth, frames: int, seed: int) -> list[RadarTracks]:
     """The messages of so many frames that end with the truth."""
     waveform = pipeline.config.waveform
-    shape = simulator_waveform(waveform)
+    rng = np.random.default_rng(seed)
     messages = []
     for i in range(frames):
         before_s = (frames - 1 - i) * waveform.frame_period_s
-        range_m = truth.range_m - truth.velocity_mps * before_s
-        amplitude = amplitude_lsb(truth.snr_db, range_m, truth.velocity_mps, shape)
-        body = Target(range_m, truth.velocity_mps, truth.azimuth_rad, amplitude)
-        frame = simulate([*LEAKAGE, body], shape, seed=seed * 1000 + i)
+        then = replace(truth, range_m=truth.range_m - truth.velocity_mps * before_s)
+        frame = exact_frame(then, waveform, NOISE_LSB, rng)
         messages.append(pipeline.process(start_ns + round(i * waveform.frame_period_s * 1e9), frame))
     return messages
 

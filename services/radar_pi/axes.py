@@ -26,7 +26,7 @@ class Axes:
     velocity_bin_mps: float
     v_max_mps: float  # unambiguous: +- this
     range_offset_m: float
-    range_lead_s: float  # range-Doppler coupling: a bin shows the range that the target has so much later
+    range_lead_s: float  # a bin shows the range that the target has so much after the first chirp
     first_sample_hz: float  # frequency at the first sample
     range_m: np.ndarray  # (samples / 2,) float64, bins from 0
     velocity_mps: np.ndarray  # (chirps,) float64, rising from -v_max
@@ -36,7 +36,10 @@ class Axes:
     fold_m: float  # range at half the sampling rate: farther folds back, with its velocity mirrored
 
     def to_range_m(self, range_bin: np.ndarray, velocity_mps: np.ndarray) -> np.ndarray:
-        """Range from the (fractional) bin: a moving target's beat frequency also holds its Doppler frequency."""
+        """Range at the first chirp from the (fractional) bin that the whole frame peaks in.
+
+        The frame shows its middle, and a moving target's beat frequency holds its Doppler frequency too.
+        """
         return np.asarray(range_bin * self.range_bin_m - self.range_offset_m - velocity_mps * self.range_lead_s)
 
     @property
@@ -75,7 +78,7 @@ def derive_axes(waveform: WaveformConfig, processing: ProcessingConfig | None = 
         velocity_bin_mps=velocity_bin_mps,
         v_max_mps=v_max_mps,
         range_offset_m=processing.range_offset_m,
-        range_lead_s=C_MPS / wavelength_m / slope,
+        range_lead_s=C_MPS / wavelength_m / slope + (waveform.chirps - 1) / 2 * waveform.chirp_period_s,
         first_sample_hz=waveform.end_frequency_hz - bandwidth_hz,
         range_m=range_m,
         velocity_mps=(np.arange(waveform.chirps) - waveform.chirps // 2) * velocity_bin_mps,
