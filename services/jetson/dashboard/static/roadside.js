@@ -1,62 +1,174 @@
-// What the pole sees, in the map frame: boxes with class, id, velocity.
-import { prepare } from "/static/canvas.js";
+// What the pole sees, in the map frame: boxes with class, id, velocity and trail; the cloud in 3-D when asked for.
+import { prepare, list } from "/static/canvas.js";
 
-const COLOURS = { car: "#4da3ff", large_vehicle: "#b58cff", cyclist: "#ffb84d", pedestrian: "#5fd38d", background: "#8a97a3", unknown: "#ff7b7b" };
-const MARGIN_M = 6;
-const view = { minX: -20, maxX: 40, minY: -20, maxY: 20 };
+const STALE_MS = 500;
+const TRAIL_MS = 6000;
+const CLASSES = ["car", "large_vehicle", "cyclist", "pedestrian", "background", "unknown"];
+const canvas = document.getElementById("roadside");
+const toggle = document.getElementById("cloud-toggle");
+const trails = new Map();
+const camera = { x: 10, y: 0, perMetre: 0, turn: 0.6, tilt: 0.9 };
+let touched = false;
 
-export function drawRoadside(tracks, ego) {
-  const { pen, width, height, colour } = prepare("roadside");
-  if (!tracks) return;
-  for (const track of tracks.message.tracks) grow(track.position_m);
-  const perMetre = Math.min(width / (view.maxX - view.minX), height / (view.maxY - view.minY));
-  const at = (x, y) => [
-    width / 2 + (x - (view.minX + view.maxX) / 2) * perMetre,
-    height / 2 - (y - (view.minY + view.maxY) / 2) * perMetre,
-  ];
-  pen.strokeStyle = colour("line");
-  for (let x = Math.ceil(view.minX / 10) * 10; x <= view.maxX; x += 10) line(pen, at(x, view.minY), at(x, view.maxY));
-  for (let y = Math.ceil(view.minY / 10) * 10; y <= view.maxY; y += 10) line(pen, at(view.minX, y), at(view.maxX, y));
-  pen.globalAlpha = tracks.ageMs > 500 ? 0.3 : 1;
-  for (const track of tracks.message.tracks) drawTrack(pen, colour, at, perMetre, track);
-  if (ego && ego.message.T_map_vehicle) {
-    const T = ego.message.T_map_vehicle;
-    const [x, y] = at(T[0][3], T[1][3]);
-    pen.fillStyle = colour("text");
-    pen.fillRect(x - 4, y - 4, 8, 8);
-    pen.fillText("vehicle", x + 7, y + 4);
+export const cloudIsOn = () => toggle.getAttribute("aria-pressed") === "true";
+export function onCloudToggle(tell) {
+  toggle.addEventListener("click", () => {
+    const on = !cloudIsOn();
+    toggle.setAttribute("aria-pressed", String(on));
+    toggle.textContent = `3-D cloud: ${on ? "on" : "off"}`;
+    tell();
+  });
+}
+document.getElementById("roadside-home").addEventListener("click", () => { touched = false; });
+canvas.addEventListener("wheel", (event) => {
+  event.preventDefault();
+  touched = true;
+  camera.perMetre *= event.deltaY < 0 ? 1.15 : 1 / 1.15;
+}, { passive: false });
+canvas.addEventListener("pointermove", (event) => {
+  if (!event.buttons) return;
+  touched = true;
+  if (cloudIsOn()) {
+    camera.turn += event.movementX * 0.01;
+    camera.tilt = Math.min(1.5, Math.max(0.1, camera.tilt + event.movementY * 0.01));
+  } else {
+    camera.x -= event.movementX / camera.perMetre;
+    camera.y += event.movementY / camera.perMetre;
   }
+});
+canvas.addEventListener("keydown", (event) => {
+  const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+  if (!step && event.key !== "+" && event.key !== "-") return;
+  event.preventDefault();
+  touched = true;
+  if (step) { camera.x += (step[0] * 30) / camera.perMetre; camera.y += (step[1] * 30) / camera.perMetre; } else camera.perMetre *= event.key === "+" ? 1.2 : 1 / 1.2;
+});
+
+export function drawRoadside(tracks, cloud, ego) {
+  const { pen, width, height, colour } = prepare("roadside");
+  if (!tracks) { say("no data yet"); return; }
+  const shown = tracks.message.tracks.filter((track) => track.state !== "tentative");
+  fit(shown, width, height);
+  remember(shown);
+  const at = cloudIsOn() ? perspective(width, height) : plan(width, height);
+  const palette = Object.fromEntries(CLASSES.map((name) => [name, colour(name)]));
+  drawGrid(pen, colour, at);
+  if (cloudIsOn() && cloud) drawCloud(pen, colour, at, cloud);
+  pen.globalAlpha = tracks.ageMs > STALE_MS ? 0.3 : 1;
+  for (const track of shown) drawTrack(pen, palette, colour, at, track);
+  if (ego && ego.message.T_map_vehicle) drawVehicle(pen, colour, at, ego.message.T_map_vehicle);
   pen.globalAlpha = 1;
   const counts = {};
-  for (const track of tracks.message.tracks) counts[track.label] = (counts[track.label] ?? 0) + 1;
+  for (const track of shown) counts[track.label] = (counts[track.label] ?? 0) + 1;
   const words = Object.entries(counts).map(([label, n]) => `${n} ${label.replace("_", " ")}`).join(", ") || "nobody";
-  document.getElementById("roadside-words").textContent = tracks.ageMs > 500 ? `stale for ${(tracks.ageMs / 1000).toFixed(1)} s` : words;
+  say(tracks.ageMs > STALE_MS ? `stale for ${(tracks.ageMs / 1000).toFixed(1)} s` : tracks.message.reason ? `${words} · ${tracks.message.reason}` : words);
 }
 
-function grow([x, y]) {
-  view.minX = Math.min(view.minX, x - MARGIN_M);
-  view.maxX = Math.max(view.maxX, x + MARGIN_M);
-  view.minY = Math.min(view.minY, y - MARGIN_M);
-  view.maxY = Math.max(view.maxY, y + MARGIN_M);
+function say(text) {
+  const words = document.getElementById("roadside-words");
+  if (words.textContent !== text) words.textContent = text;
+}
+
+// Keep the traffic in view until the user takes over: half of the distance to the wanted view a draw.
+function fit(tracks, width, height) {
+  if (touched && camera.perMetre) return;
+  const xs = [-3, 30, ...tracks.map((t) => t.position_m[0])];
+  const ys = [-12, 12, ...tracks.map((t) => t.position_m[1])];
+  const [minX, maxX, minY, maxY] = [Math.min(...xs) - 4, Math.max(...xs) + 4, Math.min(...ys) - 4, Math.max(...ys) + 4];
+  const wanted = Math.min(width / (maxX - minX), height / (maxY - minY));
+  const ease = camera.perMetre ? 0.15 : 1;
+  camera.perMetre += ease * (wanted - camera.perMetre);
+  camera.x += ease * ((minX + maxX) / 2 - camera.x);
+  camera.y += ease * ((minY + maxY) / 2 - camera.y);
+}
+
+const plan = (width, height) => (x, y) => [width / 2 + (x - camera.x) * camera.perMetre, height / 2 - (y - camera.y) * camera.perMetre];
+
+function perspective(width, height) {
+  const [c, s, ct, st] = [Math.cos(camera.turn), Math.sin(camera.turn), Math.cos(camera.tilt), Math.sin(camera.tilt)];
+  return (x, y, z = 0) => {
+    const [dx, dy] = [x - camera.x, y - camera.y];
+    const [u, v] = [c * dx + s * dy, -s * dx + c * dy];
+    return [width / 2 + u * camera.perMetre, height / 2 - (v * st + z * ct) * camera.perMetre];
+  };
+}
+
+function drawGrid(pen, colour, at) {
+  pen.strokeStyle = colour("line");
+  const [x0, y0] = [Math.round(camera.x / 10) * 10, Math.round(camera.y / 10) * 10];
+  for (let d = -80; d <= 80; d += 10) {
+    line(pen, at(x0 + d, y0 - 80), at(x0 + d, y0 + 80));
+    line(pen, at(x0 - 80, y0 + d), at(x0 + 80, y0 + d));
+  }
+}
+
+function drawCloud(pen, colour, at, cloud) {
+  const points = list(cloud.message.points);
+  const kinds = list(cloud.message.kind);
+  const colours = [colour("soft"), colour("line"), colour("mark"), colour("soft")];
+  pen.globalAlpha = cloud.ageMs > 1500 ? 0.2 : 0.8;
+  for (let i = 0; i < points.length; i += 1) {
+    const [x, y] = at(points[i][0], points[i][1], points[i][2]);
+    pen.fillStyle = colours[kinds[i] ?? 0];
+    pen.fillRect(x, y, 1.5, 1.5);
+  }
+  pen.globalAlpha = 1;
+}
+
+function remember(tracks) {
+  const now = performance.now();
+  for (const track of tracks) {
+    const trail = trails.get(track.track_id) ?? [];
+    const [x, y] = track.position_m;
+    const last = trail[trail.length - 1];
+    if (!last || Math.hypot(last.x - x, last.y - y) > 0.2) trail.push({ x, y, now });
+    trails.set(track.track_id, trail);
+  }
+  for (const [id, trail] of trails) {
+    while (trail.length && now - trail[0].now > TRAIL_MS) trail.shift();
+    if (!trail.length) trails.delete(id);
+  }
+}
+
+function drawTrack(pen, palette, colour, at, track) {
+  const [px, py, pz] = track.position_m;
+  const [length, breadth] = track.size_m;
+  const [c, s] = [Math.cos(track.yaw_rad), Math.sin(track.yaw_rad)];
+  pen.strokeStyle = palette[track.label] ?? palette.unknown;
+  pen.lineWidth = 2;
+  pen.setLineDash(track.state === "coasting" ? [4, 3] : []);
+  pen.beginPath();
+  for (const [i, j] of [[1, 1], [1, -1], [-1, -1], [-1, 1]]) {
+    const [dx, dy] = [(i * length) / 2, (j * breadth) / 2];
+    pen.lineTo(...at(px + c * dx - s * dy, py + s * dx + c * dy, pz));
+  }
+  pen.closePath();
+  pen.stroke();
+  pen.setLineDash([]);
+  pen.lineWidth = 1;
+  const trail = trails.get(track.track_id) ?? [];
+  pen.beginPath();
+  for (const spot of trail) pen.lineTo(...at(spot.x, spot.y));
+  pen.stroke();
+  const [vx, vy] = track.velocity_mps;
+  const speed = Math.hypot(vx, vy);
+  pen.lineWidth = 2;
+  if (speed > 0.3) line(pen, at(px, py, pz), at(px + vx, py + vy, pz));
+  pen.lineWidth = 1;
+  if (speed > 0.3 || camera.perMetre > 12) {
+    const [x, y] = at(px, py, pz);
+    pen.fillStyle = colour("text");
+    pen.fillText(`${track.track_id % 10000}${speed > 0.3 ? ` ${speed.toFixed(1)}` : ""}`, x + 6, y - 6);
+  }
+}
+
+function drawVehicle(pen, colour, at, T) {
+  const [x, y] = at(T[0][3], T[1][3]);
+  pen.fillStyle = colour("text");
+  pen.fillRect(x - 4, y - 4, 8, 8);
+  pen.fillText("vehicle", x + 7, y + 14);
 }
 
 function line(pen, from, to) {
   pen.beginPath(); pen.moveTo(...from); pen.lineTo(...to); pen.stroke();
-}
-
-function drawTrack(pen, colour, at, perMetre, track) {
-  const [x, y] = at(track.position_m[0], track.position_m[1]);
-  pen.save();
-  pen.translate(x, y);
-  pen.rotate(-track.yaw_rad);
-  pen.strokeStyle = COLOURS[track.label] ?? COLOURS.unknown;
-  pen.lineWidth = 2;
-  if (track.state === "coasting") pen.setLineDash([4, 3]);
-  const [length, breadth] = track.size_m;
-  pen.strokeRect((-length / 2) * perMetre, (-breadth / 2) * perMetre, length * perMetre, breadth * perMetre);
-  pen.restore();
-  pen.strokeStyle = COLOURS[track.label] ?? COLOURS.unknown;
-  line(pen, [x, y], at(track.position_m[0] + track.velocity_mps[0], track.position_m[1] + track.velocity_mps[1]));
-  pen.fillStyle = colour("text");
-  pen.fillText(`${track.track_id}`, x + 6, y - 6);
 }

@@ -8,20 +8,23 @@ function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+// Draws the banner and returns the level, or "none" when there is no verdict to trust.
 export function drawVerdict(verdict, cut) {
-  const box = byId("verdict");
-  const fresh = verdict && !cut && verdict.ageMs < NO_VERDICT_AFTER_MS;
+  const fresh = verdict && !cut && verdict.ageMs < NO_VERDICT_AFTER_MS + 1000 / Number(byId("rate").value);
   const level = fresh ? verdict.message.level : "none";
-  box.className = `verdict ${level}`;
-  setText(box.querySelector(".sign"), fresh ? SIGNS[level] : "?");
+  const wanted = `verdict ${level}`;
+  if (byId("verdict").className !== wanted) byId("verdict").className = wanted;
+  setText(document.querySelector(".sign span"), fresh ? SIGNS[level] : "?");
   setText(byId("level"), fresh ? level : "NO VERDICT");
   const flags = fresh ? ["suppressed", "blind"].filter((name) => verdict.message[name]) : [];
-  if (fresh && verdict.message.advisory) flags.push(verdict.message.advisory);
+  if (fresh && verdict.message.advisory) flags.push(verdict.message.advisory.toLowerCase().replace("_", " "));
   const marks = flags.length ? ` [${flags.join(", ")}]` : "";
-  const lost = verdict ? `the last verdict is ${(verdict.ageMs / 1000).toFixed(1)} s old; treat as STOP` : "waiting for the first verdict";
+  const lost = verdict ? `the last verdict is ${(verdict.ageMs / 1000).toFixed(0)} s old; treat as STOP` : "waiting for the first verdict";
   setText(byId("because"), fresh ? verdict.message.because + marks : lost);
   setText(byId("permission"), fresh ? verdict.message.permission : "STOP");
-  setText(byId("verdict-age"), fresh ? `rule ${verdict.message.rule}` : "");
+  setText(byId("rule"), fresh ? `rule ${verdict.message.rule}` : "");
+  setText(byId("to-lower"), fresh && verdict.message.to_lower ? `To come down: ${verdict.message.to_lower}` : "");
+  return level;
 }
 
 export function drawHealth(health, cut) {
@@ -31,63 +34,77 @@ export function drawHealth(health, cut) {
 }
 
 function fill(body, rows) {
-  const wanted = rows.map((cells) => cells.map((cell) => `${cell.className ?? ""}|${cell.text}`).join("¦")).join("\n");
+  const wanted = JSON.stringify(rows);
   if (body.dataset.shown === wanted) return;
   body.dataset.shown = wanted;
   body.replaceChildren(...rows.map((cells) => {
     const row = document.createElement("tr");
-    row.append(...cells.map((cell, index) => {
+    row.append(...cells.map(([text, className], index) => {
       const element = document.createElement(index ? "td" : "th");
       if (!index) element.scope = "row";
-      element.textContent = cell.text;
-      element.className = cell.className ?? "";
+      element.textContent = text;
+      element.className = className ?? "";
       return element;
     }));
     return row;
   }));
 }
 
-const age = (ms) => (ms === null || ms === undefined ? "never" : ms < 950 ? `${Math.round(ms / 50) * 50} ms` : `${(ms / 1000).toFixed(1)} s`);
+export const age = (ms) => (ms === null || ms === undefined ? "never" : ms < 950 ? `${Math.round(ms / 50) * 50} ms` : `${(ms / 1000).toFixed(1)} s`);
+const since = (ns) => (ns ? new Date(ns / 1e6).toLocaleTimeString() : "");
 
 export function drawSensors(health, verdict) {
   if (!health) return;
   const inputs = verdict ? verdict.message.inputs : {};
-  const rows = Object.entries(health.message.sensors).map(([name, sensor]) => {
+  fill(byId("sensors"), Object.entries(health.message.sensors).map(([name, sensor]) => {
     const input = inputs[name];
     const level = input && input.level;
     return [
-      { text: name },
-      { text: sensor.state, className: sensor.state },
-      { text: level ?? "nothing", className: level ? `${level}-text` : "" },
-      { text: age(sensor.age_ms === null ? null : sensor.age_ms + health.ageMs) },
-      { text: `${sensor.rate_hz.toFixed(0)} Hz` },
-      { text: sensor.reason || (input ? input.why : "") },
+      [name],
+      [sensor.state === "online" ? "online" : `${sensor.state} since ${since(sensor.since_ns)}`, sensor.state],
+      [level ?? "nothing", level ? `${level}-text` : ""],
+      [age(sensor.age_ms === null ? null : sensor.age_ms + health.ageMs), "num"],
+      [`${sensor.rate_hz.toFixed(0)} Hz`, "num"],
+      [[sensor.reason, input && input.why].filter(Boolean).join(" · ")],
     ];
-  });
-  fill(byId("sensors"), rows);
+  }));
 }
 
+const stages = (split) => Object.entries(split ?? {}).map(([name, ms]) => `${name} ${ms.toFixed(1)}`).join(" · ");
+
 export function drawServices(entries, extraMs) {
-  const rows = Object.entries(entries).filter(([key]) => key.endsWith("/status")).sort().map(([key, entry]) => {
+  fill(byId("services"), Object.entries(entries).filter(([key]) => key.endsWith("/status")).sort().map(([key, entry]) => {
     const status = entry.message;
-    const gone = entry.age_ms + extraMs > 3000;
-    const state = gone ? "disconnected" : status.state;
+    const silent = entry.age_ms + extraMs;
+    const gone = silent > 3500;
+    const words = gone ? `silent for ${age(silent)}` : status.reason ? `${status.state}: ${status.reason}` : status.state;
     return [
-      { text: key.replace("/status", "") },
-      { text: gone ? `silent for ${age(entry.age_ms + extraMs)}` : status.reason ? `${status.state}: ${status.reason}` : status.state, className: state },
-      { text: `${status.rate_hz.toFixed(0)} Hz` },
-      { text: `${status.rss_mb.toFixed(0)} MB` },
-      { text: `${status.bad_input}` },
+      [key.replace("/status", "")],
+      [words, gone ? "disconnected" : status.state],
+      [status.rate_hz ? `${status.rate_hz.toFixed(0)} Hz` : "", "num"],
+      [`${status.rss_mb.toFixed(0)} MB`, "num"],
+      [`${status.bad_input}`, "num"],
+      [stages(status.stage_ms) && `${stages(status.stage_ms)} ms`],
     ];
-  });
-  fill(byId("services"), rows);
+  }));
+}
+
+export function drawLatency(health, verdict) {
+  const ms = (value) => [value === undefined ? "" : `${value.toFixed(1)} ms`, "num"];
+  fill(byId("latency"), Object.entries(verdict ? verdict.message.inputs : {}).filter(([, input]) => Object.keys(input.stage_ms ?? {}).length)
+    .map(([name, { stage_ms: split }]) => [[name], ms(split.capture), ms(split.processing), ms(split.transport), ms(split.fusion)]));
+  fill(byId("clocks"), Object.entries(health ? health.message.clocks : {}).map(([host, clock]) => [
+    [host], [`${clock.offset_ms >= 0 ? "+" : ""}${clock.offset_ms.toFixed(2)} ms`, "num"], [`${clock.bound_ms.toFixed(2)} ms`, "num"],
+    [clock.trusted ? "trusted" : "not trusted", clock.trusted ? "online" : "disconnected"],
+  ]));
+  setText(byId("notes"), health ? health.message.notes.join(" · ") : "");
 }
 
 export function drawHistory(verdicts, healths) {
   const rows = [
     ...verdicts.map((v) => ({ stamp: v.stamp_ns, text: `${v.level} (${v.rule}): ${v.because}`, className: `${v.level}-text` })),
     ...healths.map((h) => ({ stamp: h.stamp_ns, text: `${h.sensor} ${h.state}${h.reason ? ": " + h.reason : ""}`, className: h.state })),
-  ].sort((a, b) => b.stamp - a.stamp).slice(0, 60);
+  ].sort((a, b) => b.stamp - a.stamp).slice(0, 80);
   const list = byId("history");
   const wanted = rows.length ? `${rows[0].stamp}:${rows.length}` : "";
   if (list.dataset.shown === wanted) return;
