@@ -65,9 +65,13 @@ class CalibrationKeeper:
         assert self._current is not None
         return self._current
 
+    def due(self, stamp_ns: int) -> bool:
+        """True when the road is to be measured again."""
+        return self.settled and stamp_ns >= self._next_check_ns
+
     def look_after(self, stamp_ns: int, frame: Levelled) -> None:
         """Measure the road again every ``check_period_s``, in the level frame of ``frame``."""
-        if not self.settled or stamp_ns < self._next_check_ns:
+        if not self.due(stamp_ns):
             return
         self._next_check_ns = stamp_ns + int(self._config.check_period_s * 1e9)
         step = max(1, len(frame.x) // (20 * WATCH_POINTS))

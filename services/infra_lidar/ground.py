@@ -57,24 +57,19 @@ class Ground:
         self.accepted = np.zeros(cells, bool)
 
     def remove(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
-        """Level (N, 3+) float32 sensor-frame points and label their ground."""
-        config = self._config
-        frame = self._level(points, T_level_sensor)
-        kernels.polar_cells(
-            frame.x, frame.y, frame.z, np.float32(0.0), np.float32(0.0), np.float32(config.range_max_m),
-            np.float32(config.height_min_m), np.float32(config.height_max_m), np.float32(config.ring_m),
-            self.sectors, frame.cell,
-        )  # fmt: skip
+        """Level (N, 3+) float32 sensor-frame points, find the road in them, and label it."""
+        config, frame = self._config, self._level(points, T_level_sensor)
         kernels.height_histograms(frame.cell, frame.z, self._lowest_m, self._histogram, self._count)
         kernels.cell_heights(
             self._histogram, self._count, self._lowest_m, config.percentile, config.min_points, self.height_m
         )
         self._fit_surface()
-        m = kernels.label_ground(
-            frame.x, frame.y, frame.z, frame.cell, self.surface, np.float32(config.below_m),
-            np.float32(config.above_m), config.keep_below, frame.ground, frame.above_m, frame.rest,
-        )  # fmt: skip
-        return replace(frame, rest=frame.rest[:m], above_m=frame.above_m[:m])
+        return self._label(frame)
+
+    def remove_known(self, points: np.ndarray, T_level_sensor: np.ndarray, surface: np.ndarray) -> Levelled:
+        """The same with a road that is known already: for the few points that are left of a frame."""
+        self.surface[:] = surface
+        return self._label(self._level(points, T_level_sensor))
 
     @property
     def sectors_seen(self) -> int:
@@ -100,7 +95,21 @@ class Ground:
         returns, near = kernels.level(
             points, T_level_sensor.astype(np.float32), self._near_m, frame.x, frame.y, frame.z
         )
+        config = self._config
+        kernels.polar_cells(
+            frame.x, frame.y, frame.z, np.float32(0.0), np.float32(0.0), np.float32(config.range_max_m),
+            np.float32(config.height_min_m), np.float32(config.height_max_m), np.float32(config.ring_m),
+            self.sectors, frame.cell,
+        )  # fmt: skip
         return replace(frame, returns=returns, near=near)
+
+    def _label(self, frame: Levelled) -> Levelled:
+        config = self._config
+        m = kernels.label_ground(
+            frame.x, frame.y, frame.z, frame.cell, self.surface, np.float32(config.below_m),
+            np.float32(config.above_m), config.keep_below, frame.ground, frame.above_m, frame.rest,
+        )  # fmt: skip
+        return replace(frame, rest=frame.rest[:m], above_m=frame.above_m[:m])
 
     def _fit_surface(self) -> None:
         config = self._config

@@ -6,17 +6,18 @@ import numpy as np
 
 from common.geometry import invert, transform_points
 from common.messages import ObjectTracks
-from services.infra_lidar.blindness import BlindnessWatch, FrameQuality, Returns
+from services.infra_lidar.background import BackgroundModel
+from services.infra_lidar.blindness import BlindnessWatch, FrameQuality
 from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.calibration import Calibration
 from services.infra_lidar.calibration_keeper import CalibrationKeeper
-from services.infra_lidar.classifier import LABELS, Classifier
+from services.infra_lidar.classes import BACKGROUND, CLASSES, LABELS
+from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.features import compute_features
-from services.infra_lidar.ground import Ground, Levelled
-from services.infra_lidar.kernels_ground import beams_seen
 from services.infra_lidar.result import ClusterSet, FrameResult
+from services.infra_lidar.scene import Scene
 from services.infra_lidar.stopwatch import Stopwatch
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
 
@@ -24,19 +25,28 @@ from services.infra_lidar.tracking import Detections, MultiObjectTracker
 class InfraLidarPipeline:
     """One sensor's pipeline. Not for several threads at a time; make one per sensor.
 
-    ``calibration``: a stored one to begin with; without it the first frames decide.
+    ``calibration``, ``background``: stored ones to begin with; without them the first frames decide.
     """
 
-    def __init__(self, config: InfraLidarConfig, calibration: Calibration | None = None) -> None:
+    def __init__(
+        self,
+        config: InfraLidarConfig,
+        calibration: Calibration | None = None,
+        background: BackgroundModel | None = None,
+    ) -> None:
         self.config = config
         buffers = Buffers()
         self.calibration = CalibrationKeeper(config.calibration, calibration)
-        self.ground = Ground(config.ground, buffers, config.blindness.near_m)
+        self.scene = Scene(config, self.calibration, buffers, background)
         self.clustering = Clustering(config.clustering, config.ground.range_max_m, buffers)
         self.classifier = Classifier(config.classifier)
         self.tracker = MultiObjectTracker(config.tracking)
-        self._beams = np.zeros(256, bool)
         self.blindness = BlindnessWatch(config.blindness)
+
+    def recalibrate(self) -> None:
+        """Forget calibration and background and begin again with the next frame."""
+        self.calibration.restart()
+        self.scene.restart()
 
     def process(
         self, stamp_ns: int, points: np.ndarray, quality: FrameQuality | None = None, received_ns: int = 0
@@ -57,13 +67,12 @@ class InfraLidarPipeline:
         calibration = self.calibration.update(points)
         watch.lap("calibrate")
 
-        # 2. Level the cloud and take the road away. Everything below is in the level frame.
-        frame = self.ground.remove(points, calibration.T_level_sensor)
-        self.calibration.look_after(stamp_ns, frame)
+        # 2. Leave out what was always there, level the rest and take the road away. From here on in the level frame.
+        parted = self.scene.part(stamp_ns, points, calibration)
         watch.lap("ground")
 
         # 3. Connected components of what is left, seen from above.
-        found = self.clustering.cluster(frame)
+        found = self.clustering.cluster(parted.frame)
         watch.lap("cluster")
 
         # 4. What is it? Features and forest.
@@ -73,25 +82,28 @@ class InfraLidarPipeline:
         # 5. Who is it, and where does it go? In the map frame.
         T_map_level = self._map_from_level(calibration)
         tracks = self.tracker.update(stamp_ns, _detections(clusters, T_map_level))
-        users = [track for track in tracks if track.label != "background"]
         watch.lap("track")
 
-        # 6. Can the sensor see at all?
+        # 6. Learn the fixed scene, as long as it is not known. Then: can the sensor see at all?
+        cluster_id = parted.spread(found.cluster_id)
+        self.scene.learn(stamp_ns, points, parted, _road_user(clusters, cluster_id))
+        watch.lap("learn")
         total_ms = sum(watch.stage_ms.values())
-        seen = self._returns(points, frame)
-        state, reason = self.blindness.judge(seen, quality, total_ms, self.calibration.complaint)
+        state, reason = self.blindness.judge(parted.seen, quality, total_ms, self.calibration.complaint)
+
         message = ObjectTracks(
             stamp_ns=stamp_ns, frame_id=self.config.frame_id, received_ns=received_ns, state=state, reason=reason,
-            stage_ms=watch.stage_ms, tracks=users, points_in=len(points), clusters=len(clusters),
+            stage_ms=watch.stage_ms, tracks=[track for track in tracks if track.label != CLASSES[BACKGROUND]],
+            points_in=len(points), clusters=len(clusters),
         )  # fmt: skip
         return FrameResult(
-            stamp_ns=stamp_ns, points=points, ground=frame.ground, cluster_id=found.cluster_id,
-            background=np.zeros(len(points), bool), clusters=clusters, tracks=message, calibration=calibration,
+            stamp_ns=stamp_ns, points=points, ground=parted.ground, cluster_id=cluster_id,
+            background=parted.background, clusters=clusters, tracks=message, calibration=calibration,
             T_map_level=T_map_level, stage_ms=watch.stage_ms,
         )  # fmt: skip
 
     def _classify(self, found: ClusterPoints) -> ClusterSet:
-        road_z_m = self.ground.road_height(found.box[:, 0], found.box[:, 1])
+        road_z_m = self.scene.ground.road_height(found.box[:, 0], found.box[:, 1])
         features = compute_features(found.points, found.offsets, road_z_m, self.classifier.feature_names)
         index, confidence, probabilities = self.classifier.classify(features)
         return ClusterSet(
@@ -105,16 +117,18 @@ class InfraLidarPipeline:
             return np.eye(4)
         return np.reshape(self.config.T_map_sensor, (4, 4)) @ invert(calibration.T_level_sensor)
 
-    def _returns(self, points: np.ndarray, frame: Levelled) -> Returns:
-        beams = beams_seen(points[:, 4], self._beams) if points.shape[1] > 4 else 0
-        return Returns(len(points), frame.returns, frame.near, int(beams), self.ground.sectors_seen)
-
 
 def _checked(points: np.ndarray) -> np.ndarray:
     points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] < 3 or points.dtype.kind not in "fiu":
         raise ValueError(f"points: expected an (N, 3+) array of numbers, got {points.dtype} {points.shape}")
     return np.ascontiguousarray(points, dtype=np.float32)
+
+
+def _road_user(clusters: ClusterSet, cluster_id: np.ndarray) -> np.ndarray:
+    """(N,) bool: points of clusters that may be road users."""
+    user = np.array([label != CLASSES[BACKGROUND] for label in clusters.labels] + [False])  # the last one is for id -1
+    return np.asarray(user[cluster_id])
 
 
 def _detections(clusters: ClusterSet, T_map_level: np.ndarray) -> Detections:

@@ -1,0 +1,156 @@
+"""The fixed scene of a fixed sensor: which range each beam returns in each direction when nobody is there.
+
+Learned once over ``learn_s`` from whole frames, then frozen: nothing that arrives later ever becomes background, so an
+obstacle that stops is never hidden. What the classifier took for a road user at the end of learning (a parked car) is
+left out, and so is every direction that was seen through now and then (a queue at a red light, leaves). The model is
+only a short cut for returns: those it knows need no ground, no cluster and no class.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.infra_lidar import kernels_background as kernels
+from services.infra_lidar.buffers import Buffers
+from services.infra_lidar.config import BackgroundConfig
+
+MAX_RINGS = 128
+
+
+@dataclass(frozen=True)
+class BackgroundModel:
+    """What is kept on disk: squared bounds (cells, 4) float32, road (cells,) uint8, the grid and how much it explains.
+
+    surface: (cells of the polar grid, 3) float32, the road at the time.
+    """
+
+    bounds: np.ndarray
+    road: np.ndarray
+    columns: int
+    rows: int
+    known_share: float
+    surface: np.ndarray
+
+
+@dataclass(frozen=True)
+class Sifted:
+    """A frame of N returns parted: fresh (M, C) with index ``source`` (M,), masks (N,), and what was counted."""
+
+    fresh: np.ndarray
+    source: np.ndarray
+    known: np.ndarray
+    ground: np.ndarray
+    returns: int
+    near: int
+
+
+class Background:
+    """Learns, recognises and applies the model of one sensor. Holds buffers: one thread at a time."""
+
+    def __init__(
+        self, config: BackgroundConfig, buffers: Buffers | None = None, stored: BackgroundModel | None = None
+    ) -> None:
+        self._config = config
+        self._buffers = buffers or Buffers()
+        self._trial: BackgroundModel | None = stored
+        self.model: BackgroundModel | None = None
+        self.restart(keep_stored=True)
+
+    def restart(self, keep_stored: bool = False) -> None:
+        """Forget what was learned and begin again."""
+        self.model = None
+        self._trial = self._trial if keep_stored else None
+        self._frames = 0
+        self._first_ns = 0
+        self._misfits = 0
+        self._low: np.ndarray | None = None
+
+    def sift(self, points: np.ndarray, near_m: float) -> Sifted | None:
+        """Part a frame (N, 3+) with the model in use; None while there is none or it does not fit this frame."""
+        if self.model is None:
+            return None
+        sifted = self._sift(points, self.model, near_m)
+        misfit = sifted.known.sum() < 0.6 * self.model.known_share * max(sifted.returns, 1)
+        self._misfits = self._misfits + 1 if misfit else 0
+        return None if misfit else sifted
+
+    @property
+    def lost(self) -> bool:
+        """True when the scene has not looked as learned for a while: the sensor was moved, or the scene rebuilt."""
+        return self._misfits >= 20
+
+    def recognise(self, points: np.ndarray) -> None:
+        """Take the stored model if it explains this frame nearly as well as it did when it was learned."""
+        if self._trial is None:
+            return
+        known = self._sift(points, self._trial, 0.0).known
+        if known.mean() >= 0.8 * self._trial.known_share:
+            self.model = self._trial
+        self._trial = None
+
+    def learn(
+        self, stamp_ns: int, points: np.ndarray, ground: np.ndarray, road_user: np.ndarray, surface: np.ndarray
+    ) -> None:
+        """Add a whole frame; ground, road_user (N,) bool of the same points. Settles when it has seen enough."""
+        config = self._config
+        if self._low is None:
+            self._begin(stamp_ns, points)
+        tolerance, slope = np.float32(config.tolerance_m), np.float32(config.tolerance_slope)
+        kernels.learn(points, self._columns, self._rows, tolerance, slope, self._low, self._high, self._count)
+        self._frames += 1
+        if self._frames >= config.min_frames and stamp_ns - self._first_ns >= config.learn_s * 1e9:
+            self.model = self._settle(points, ground, road_user, surface)
+            self._low = None
+
+    def _begin(self, stamp_ns: int, points: np.ndarray) -> None:
+        self._columns = self._config.azimuth_cells
+        self._rows = MAX_RINGS if points.shape[1] > 4 else kernels.ROWS_WITHOUT_RINGS
+        cells = self._columns * self._rows
+        self._first_ns = stamp_ns
+        self._low = np.zeros((cells, kernels.MODES), np.float32)
+        self._high = np.zeros((cells, kernels.MODES), np.float32)
+        self._count = np.zeros((cells, kernels.MODES), np.uint16)
+
+    def _settle(
+        self, points: np.ndarray, ground: np.ndarray, road_user: np.ndarray, surface: np.ndarray
+    ) -> BackgroundModel:
+        config, cells = self._config, self._columns * self._rows
+        bounds = np.empty((cells, 4), np.float32)
+        kernels.settle(
+            self._low, self._high, self._count, self._frames, self._columns, self._rows, config.min_share,
+            np.float32(config.tolerance_m), np.float32(config.tolerance_slope), bounds,
+        )  # fmt: skip
+        road, users = np.zeros(cells, np.uint8), np.zeros(cells, np.uint8)
+        kernels.mark_cells(points, self._columns, self._rows, ground, 1, road)
+        kernels.mark_cells(points, self._columns, self._rows, road_user, 1, users)
+        bounds[_widened(users.reshape(self._columns, self._rows)).ravel()] = (1.0, 0.0, 1.0, 0.0)
+        model = BackgroundModel(bounds, road, self._columns, self._rows, 1.0, surface.copy())
+        share = float(self._sift(points, model, 0.0).known.mean())
+        return BackgroundModel(bounds, road, self._columns, self._rows, share, surface.copy())
+
+    def _sift(self, points: np.ndarray, model: BackgroundModel, near_m: float) -> Sifted:
+        n, take = len(points), self._buffers.take
+        known, ground = take("bg_known", n, np.bool_), take("bg_ground", n, np.bool_)
+        source = take("bg_source", n, np.int32)
+        fresh = take("bg_fresh", n * points.shape[1], np.float32).reshape(n, points.shape[1])
+        m, returns, near = kernels.sift(
+            points,
+            model.columns,
+            model.rows,
+            model.bounds,
+            model.road,
+            np.float32(near_m),
+            known,
+            ground,
+            fresh,
+            source,
+        )
+        return Sifted(fresh[:m], source[:m], known, ground, returns, near)
+
+
+def _widened(users: np.ndarray) -> np.ndarray:
+    """Cells of road users and their neighbours in azimuth: the edge of a parked car must not become background."""
+    flags = users.astype(bool)
+    return np.asarray(flags | np.roll(flags, 1, axis=0) | np.roll(flags, -1, axis=0))

@@ -1,0 +1,166 @@
+"""Compiled passes of the background model: one look-up per return in (azimuth, ring) order, the order of firing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.infra_lidar.jit import inline, kernel
+
+BLOCK = 1024
+MODES = 3
+ROWS_WITHOUT_RINGS, ROWS_PER_RAD = 256, np.float32(256.0)  # 0.22 degrees, for clouds without a ring column
+NO_RETURN_M2 = np.float32(0.25)
+PI, HALF_PI = np.float32(np.pi), np.float32(np.pi / 2)
+
+
+@inline
+def _angle(y, x):  # type: ignore[no-untyped-def]
+    """As in ``kernels_ground``: kept here because the cache on disk does not notice changes in other modules."""
+    ax, ay = abs(x), abs(y)
+    high, low = max(ax, ay), min(ax, ay)
+    a = low / max(high, np.float32(1e-20))
+    s = a * a
+    p = np.float32(-0.0117212) * s + np.float32(0.05265332)
+    p = p * s - np.float32(0.11643287)
+    p = p * s + np.float32(0.19354346)
+    p = p * s - np.float32(0.33262347)
+    p = (p * s + np.float32(0.99997726)) * a
+    p = HALF_PI - p if ay > ax else p
+    p = PI - p if x < np.float32(0.0) else p
+    return -p if y < np.float32(0.0) else p
+
+
+@inline
+def _row(points, i, rows, squared):  # type: ignore[no-untyped-def]
+    """Ring of a point, or its elevation in steps where the cloud has no rings."""
+    if points.shape[1] > 4:
+        return min(max(np.int32(points[i, 4]), 0), rows - 1)
+    sine = points[i, 2] / np.sqrt(max(squared, NO_RETURN_M2))
+    return min(max(np.int32(sine * ROWS_PER_RAD) + rows // 2, 0), rows - 1)
+
+
+@kernel
+def learn(points, columns, rows, tolerance, slope, low, high, count):  # type: ignore[no-untyped-def]
+    """Add a frame to the ranges seen per cell. low, high (cells, MODES) float32 m and count (cells, MODES) uint16.
+
+    A range within tolerance + slope * range of a mode widens it; otherwise it takes the rarest mode's place.
+    """
+    per_column = np.float32(columns / (2.0 * np.pi))
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        squared = x * x + y * y + z * z
+        if not squared > NO_RETURN_M2:
+            continue
+        column = min(np.int32((_angle(y, x) + PI) * per_column), columns - 1)
+        c = column * rows + _row(points, i, rows, squared)
+        r = np.sqrt(squared)
+        margin = tolerance + slope * r
+        rarest, taken = 0, -1
+        for m in range(MODES):
+            if count[c, m] > 0 and low[c, m] - margin <= r <= high[c, m] + margin:
+                taken = m
+                break
+            if count[c, m] < count[c, rarest]:
+                rarest = m
+        if taken >= 0:
+            low[c, taken], high[c, taken] = min(low[c, taken], r), max(high[c, taken], r)
+            count[c, taken] = min(count[c, taken] + 1, 65535)
+        else:
+            low[c, rarest], high[c, rarest], count[c, rarest] = r, r, 1
+
+
+@kernel
+def settle(low, high, count, frames, columns, rows, min_share, tolerance, slope, bounds):  # type: ignore[no-untyped-def]
+    """What was always there, as squared bounds (cells, 4) float32: own range, and that of a neighbour in azimuth.
+
+    A range is background if nearly all returns of the cell came from it and none from behind it: what was sometimes
+    seen through, as a car at a red light, is not. Returns the number of cells with a background.
+    """
+    cells = columns * rows
+    chosen = np.full(cells, -1, np.int8)
+    known = 0
+    for c in range(cells):
+        chosen[c] = _background_mode(low[c], high[c], count[c], frames, min_share)
+        known += chosen[c] >= 0
+    for c in range(cells):
+        bounds[c, 0], bounds[c, 1], bounds[c, 2], bounds[c, 3] = 1.0, 0.0, 1.0, 0.0  # empty intervals
+        if chosen[c] >= 0:
+            _set(bounds, c, 0, low[c, chosen[c]], high[c, chosen[c]], tolerance, slope)
+        for side in (-1, 1):
+            column = (c // rows + side) % columns
+            n = column * rows + c % rows
+            if chosen[n] < 0:
+                continue
+            near, far = low[n, chosen[n]], high[n, chosen[n]]
+            if chosen[c] < 0 or far > high[c, chosen[c]] + tolerance or near < low[c, chosen[c]] - tolerance:
+                _set(bounds, c, 2, near, far, tolerance, slope)
+    return known
+
+
+@kernel
+def _background_mode(low, high, count, frames, min_share):  # type: ignore[no-untyped-def]
+    """The mode of one cell that is background, or -1."""
+    total, best, behind = 0, 0, 0
+    for m in range(MODES):
+        total += count[m]
+        best = m if count[m] > count[best] else best
+    for m in range(MODES):
+        behind += count[m] if low[m] > high[best] else 0
+    enough = (total >= 0.2 * frames) & (count[best] >= min_share * total) & (behind <= 0.1 * total)
+    return best if enough else -1
+
+
+@inline
+def _set(bounds, c, at, near, far, tolerance, slope):  # type: ignore[no-untyped-def]
+    a, b = max(near - tolerance - slope * near, np.float32(0.0)), far + tolerance + slope * far
+    bounds[c, at], bounds[c, at + 1] = a * a, b * b
+
+
+@kernel
+def mark_cells(points, columns, rows, chosen, value, table):  # type: ignore[no-untyped-def]
+    """table[cell of point i] = value for the chosen points. chosen (N,) bool, table (cells,) uint8."""
+    per_column = np.float32(columns / (2.0 * np.pi))
+    for i in range(points.shape[0]):
+        if chosen[i]:
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            column = min(np.int32((_angle(y, x) + PI) * per_column), columns - 1)
+            table[column * rows + _row(points, i, rows, x * x + y * y + z * z)] = value
+
+
+@kernel
+def sift(points, columns, rows, bounds, road, near_m, known, ground, fresh, source):  # type: ignore[no-untyped-def]
+    """Part returns that were always there from the rest.
+
+    points (N, C) float32 sensor frame; bounds (cells, 4); road (cells,) uint8, 1 = the background there is road.
+    Writes known and ground (N,) bool, and the M others to fresh (M, C) with their index in source. Returns
+    (M, returns, returns nearer than near_m).
+    """
+    n = points.shape[0]
+    squared = np.empty(BLOCK, np.float32)
+    column = np.empty(BLOCK, np.float32)
+    per_column = np.float32(columns / (2.0 * np.pi))
+    m, returns, near = 0, 0, 0
+    for start in range(0, n, BLOCK):
+        block = points[start : min(start + BLOCK, n)]
+        for i in range(block.shape[0]):
+            squared[i] = block[i, 0] * block[i, 0] + block[i, 1] * block[i, 1] + block[i, 2] * block[i, 2]
+        for i in range(block.shape[0]):
+            column[i] = (_angle(block[i, 1], block[i, 0]) + PI) * per_column
+        for i in range(block.shape[0]):
+            s = squared[i]
+            valid = s > NO_RETURN_M2
+            returns += valid
+            near += valid & (s < near_m * near_m)
+            if not valid:
+                known[start + i], ground[start + i] = True, False
+                continue
+            c = min(np.int32(column[i]), columns - 1) * rows + _row(block, i, rows, s)
+            seen = ((s >= bounds[c, 0]) & (s <= bounds[c, 1])) | ((s >= bounds[c, 2]) & (s <= bounds[c, 3]))
+            known[start + i] = seen
+            ground[start + i] = seen & (road[c] == 1)
+            if not seen:
+                for k in range(points.shape[1]):
+                    fresh[m, k] = block[i, k]
+                source[m] = start + i
+                m += 1
+    return m, returns, near

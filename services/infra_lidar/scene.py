@@ -1,0 +1,103 @@
+"""A frame parted into what was always there, the road, and the rest, which goes on to be clustered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.infra_lidar.background import Background, BackgroundModel, Sifted
+from services.infra_lidar.blindness import Returns
+from services.infra_lidar.buffers import Buffers
+from services.infra_lidar.calibration import Calibration
+from services.infra_lidar.calibration_keeper import CalibrationKeeper
+from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.ground import Ground, Levelled
+from services.infra_lidar.kernels_ground import beams_seen
+
+
+@dataclass(frozen=True)
+class Parted:
+    """frame: the points to work on, level frame, valid until the next frame. source: their index among the N points of
+    the whole frame, None = they are all of them. ground, background: (N,) bool of the whole frame. seen: what counts.
+    """
+
+    frame: Levelled
+    source: np.ndarray | None
+    ground: np.ndarray
+    background: np.ndarray
+    seen: Returns
+
+    def spread(self, cluster_id: np.ndarray) -> np.ndarray:
+        """(N,) int32 cluster of every point of the whole frame, from those of ``frame``."""
+        if self.source is None:
+            return cluster_id.copy()
+        whole = np.full(len(self.ground), -1, np.int32)
+        whole[self.source] = cluster_id
+        return whole
+
+
+class Scene:
+    """Road surface and background of one sensor. One thread at a time."""
+
+    def __init__(
+        self, config: InfraLidarConfig, keeper: CalibrationKeeper, buffers: Buffers, stored: BackgroundModel | None
+    ) -> None:
+        self._config = config
+        self._keeper = keeper
+        self.ground = Ground(config.ground, buffers, config.blindness.near_m)
+        self.background = Background(config.background, buffers, stored)
+        self._beams = np.zeros(256, bool)
+        self._beam_count, self._sector_count = 0, 0
+
+    def part(self, stamp_ns: int, points: np.ndarray, calibration: Calibration) -> Parted:
+        """Part (N, 3+) float32 sensor-frame points; nothing is left where the calibration is refused."""
+        if calibration.refused:
+            nothing = self.ground.remove(points[:0], calibration.T_level_sensor)
+            no = np.zeros(len(points), bool)
+            return Parted(nothing, np.zeros(0, np.int64), no, no, Returns(len(points), len(points), 0, 0, 0))
+        sifted = self._sift(points)
+        if sifted is None:
+            return self._whole(stamp_ns, points, calibration)
+        return self._rest(stamp_ns, points, sifted, calibration)
+
+    def learn(self, stamp_ns: int, points: np.ndarray, parted: Parted, road_user: np.ndarray) -> None:
+        """Teach the background a whole frame; road_user (N,) bool: points of clusters that are no background."""
+        if not self._config.background.enabled or not self._keeper.settled or parted.source is not None:
+            return
+        if self.background.lost:
+            self.background.restart()
+        if self.background.model is None:
+            self.background.learn(stamp_ns, points, parted.ground, road_user, self.ground.surface)
+
+    def restart(self) -> None:
+        """Forget the background: the sensor has been moved or turned."""
+        self.background.restart()
+
+    def _sift(self, points: np.ndarray) -> Sifted | None:
+        if not self._config.background.enabled or not self._keeper.settled:
+            return None
+        self.background.recognise(points)
+        return self.background.sift(points, self._config.blindness.near_m)
+
+    def _whole(self, stamp_ns: int, points: np.ndarray, calibration: Calibration) -> Parted:
+        frame = self.ground.remove(points, calibration.T_level_sensor)
+        self._look_after(stamp_ns, points, frame)
+        seen = Returns(len(points), frame.returns, frame.near, self._beam_count, self._sector_count)
+        return Parted(frame, None, frame.ground.copy(), np.zeros(len(points), bool), seen)
+
+    def _rest(self, stamp_ns: int, points: np.ndarray, sifted: Sifted, calibration: Calibration) -> Parted:
+        assert self.background.model is not None
+        if self._keeper.due(stamp_ns):  # now and then the whole frame is looked at
+            self._look_after(stamp_ns, points, self.ground.remove(points, calibration.T_level_sensor))
+        frame = self.ground.remove_known(sifted.fresh, calibration.T_level_sensor, self.background.model.surface)
+        ground = sifted.ground.copy()
+        ground[sifted.source] = frame.ground
+        seen = Returns(len(points), sifted.returns, sifted.near, self._beam_count, self._sector_count)
+        return Parted(frame, sifted.source, ground, sifted.known.copy(), seen)
+
+    def _look_after(self, stamp_ns: int, points: np.ndarray, frame: Levelled) -> None:
+        """Count beams and directions of a whole frame, and watch for a nudge."""
+        self._beam_count = int(beams_seen(points[:, 4], self._beams)) if points.shape[1] > 4 else 0
+        self._sector_count = self.ground.sectors_seen
+        self._keeper.look_after(stamp_ns, frame)
