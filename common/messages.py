@@ -152,6 +152,16 @@ class LidarZone(msgspec.Struct, kw_only=True):
     level: Level
 
 
+class LaneLayout(msgspec.Struct, kw_only=True):
+    """The lanes and alarm lines in use, so that a viewer draws what the service checks."""
+
+    centre_width_m: NotNegative
+    side_width_m: NotNegative
+    look_ahead_m: NotNegative
+    imminent_m: NotNegative
+    caution_m: NotNegative
+
+
 class LidarZones(SensorMessage, kw_only=True):
     """What stands in the three lanes ahead, after persistence."""
 
@@ -161,6 +171,7 @@ class LidarZones(SensorMessage, kw_only=True):
     level: Level
     raw_level: Level  # before persistence
     scan_hz: NotNegative = 0.0
+    layout: LaneLayout | None = None
 
 
 # --- camera ---------------------------------------------------------------------------------------------------
