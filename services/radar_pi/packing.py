@@ -104,98 +104,93 @@ def lfsr_sequence(length: int, state: int = LFSR_START) -> np.ndarray:
 class FrameAssembler:
     """Bursts of words -> complete frames. Words lost on the way cost the frame they belong to, not the stream.
 
-    ``lost_words`` counts what was thrown away. ``position`` is the place in the frame (in words) of the next word from
-    the chip, or ``None`` while no header has been found.
+    A word missing in one chirp shows at the next chirp's header; one missing in the last chirp as a sync word inside
+    the data. ``lost_words`` counts what was thrown away.
     """
 
     def __init__(self, layout: Layout) -> None:
         self.lost_words = 0
         self._layout = layout
-        self._pending = np.empty(0, np.uint8)  # bytes of a chirp that is not complete
-        self._chirps: list[np.ndarray] = []  # (n, chirp_bytes) each, of the frame that is not complete
-        self._next_chirp = 0
-        self._count: int | None = None  # frame counter of that frame; None = whatever comes first
-        self._broken = False  # its beginning was lost
+        self._buffer = bytearray()  # from the start of a chirp on, while in sync
+        self._first_chirp = 0  # of the buffer: not 0 while the beginning of a frame is missing
+        self._checked = 0  # chirps in the buffer whose header is right
+        self._count: int | None = None  # frame counter; None = whatever comes first
         self._synced = True  # the first word after a start is a header
 
     @property
     def position(self) -> int | None:
+        """Place in the frame (in words) of the next word from the chip; None while no header has been found."""
         if not self._synced:
             return None
-        return self._next_chirp * self._layout.chirp_words + self._pending.size // WORD_BYTES
+        return self._first_chirp * self._layout.chirp_words + len(self._buffer) // WORD_BYTES
 
-    def feed(self, data: bytes | np.ndarray) -> Iterator[PackedFrame]:
+    def feed(self, data: bytes) -> Iterator[PackedFrame]:
         """Take the words of one burst (whole words); yields the frames that they complete."""
-        self._pending = np.concatenate((self._pending, np.frombuffer(data, np.uint8)))
+        self._buffer += data
         while self._synced or self._find_header():
-            size = self._layout.chirp_bytes
-            whole = self._pending.size // size
-            if not whole:
+            if not self._headers_fit():
+                self._search_behind(max(self._checked - 1, 0))
+            elif len(self._buffer) < (self._layout.chirps - self._first_chirp) * self._layout.chirp_bytes:
                 return
-            blocks = self._pending[: whole * size].reshape(whole, size)
-            good = self._count_expected(blocks)
-            self._pending = self._pending[good * size :]
-            yield from self._take(blocks[:good])
-            if good < whole:
-                self._lose_sync()
-
-    def _count_expected(self, blocks: np.ndarray) -> int:
-        """How many of the chirps, from the first, have the header that has to come next and no second one inside."""
-        head = header_fields(blocks)
-        frame, chirp = np.divmod(self._next_chirp + np.arange(len(blocks)), self._layout.chirps)
-        count = head[0, 1] if self._count is None else self._count
-        data = blocks[:, HEADER_WORDS * WORD_BYTES :]
-        fits = (
-            (head[:, 0] == 0)
-            & (head[:, 1] == (count + frame) % COUNTER_SPAN)
-            & (head[:, 2] == chirp)
-            & (head[:, 3] == self._layout.samples)
-            & (data[:, 0::3] | data[:, 1::3] | data[:, 2::3]).all(axis=1)
-        )
-        return len(blocks) if fits.all() else int(np.argmin(fits))
-
-    def _take(self, blocks: np.ndarray) -> Iterator[PackedFrame]:
-        while len(blocks):
-            if self._count is None:
-                self._count = int(header_fields(blocks[:1])[0, 1])
-            new = blocks[: self._layout.chirps - self._next_chirp]
-            blocks = blocks[len(new) :]
-            self._chirps.append(new)
-            self._next_chirp += len(new)
-            if self._next_chirp == self._layout.chirps:
+            else:
                 yield from self._finish()
 
-    def _finish(self) -> Iterator[PackedFrame]:
-        data, count, broken = np.concatenate(self._chirps), self._count or 0, self._broken
-        self._chirps, self._next_chirp, self._broken = [], 0, False
-        self._count = (count + 1) % COUNTER_SPAN
-        if broken:
-            self.lost_words += len(data) * self._layout.chirp_words
-        else:
-            yield PackedFrame(data, count, int(header_fields(data[-1:])[0, 4]))
+    def _headers_fit(self) -> bool:
+        """Check the headers that have come in since the last time."""
+        size, head = self._layout.chirp_bytes, HEADER_WORDS * WORD_BYTES
+        while (start := self._checked * size) + head <= len(self._buffer):
+            chirp = self._first_chirp + self._checked
+            if chirp == self._layout.chirps:
+                break
+            sync, counters, content = _words(self._buffer[start : start + head])
+            if self._count is None:
+                self._count = counters >> 12
+            if sync or counters != self._count << 12 | chirp or content >> 12 != self._layout.samples:
+                return False
+            self._checked += 1
+        return True
 
-    def _lose_sync(self) -> None:
-        """The block at hand is damaged: the search goes on behind its first word."""
-        self.lost_words += sum(map(len, self._chirps)) * self._layout.chirp_words
-        self._chirps, self._synced = [], False
-        self._drop(1)
+    def _finish(self) -> Iterator[PackedFrame]:
+        """All chirps are there; hand the frame over unless its beginning is missing or it holds a second header."""
+        chirps = self._layout.chirps - self._first_chirp
+        end = chirps * self._layout.chirp_bytes
+        blocks = np.frombuffer(bytes(self._buffer[:end]), np.uint8).reshape(chirps, -1)
+        torn = _chirp_with_sync_inside(blocks)
+        if torn is not None:
+            self._search_behind(torn)
+            return
+        count, whole = self._count or 0, self._first_chirp == 0
+        self._start_at(end, chirp=0, count=(count + 1) % COUNTER_SPAN)
+        if whole:
+            yield PackedFrame(blocks, count, int(header_fields(blocks[-1:])[0, 4]))
+        else:
+            self.lost_words += chirps * self._layout.chirp_words
+
+    def _search_behind(self, block: int) -> None:
+        """That chirp of the buffer is damaged: look for a header behind its first word."""
+        drop = block * self._layout.chirp_words + 1
+        self.lost_words += drop
+        del self._buffer[: drop * WORD_BYTES]
+        self._synced = False
 
     def _find_header(self) -> bool:
         """Drop words up to the next header and take its counters; False when there is none yet."""
-        words = _as_words(self._pending)
+        words = _as_words(np.frombuffer(bytes(self._buffer), np.uint8))
         start = _first_header(words, self._layout)
         if start is None:
-            self._drop(max(len(words) - HEADER_WORDS + 1, 0))
+            drop = max(len(words) - HEADER_WORDS + 1, 0)
+            self.lost_words += drop
+            del self._buffer[: drop * WORD_BYTES]
             return False
-        self._drop(start)
-        self._count, self._next_chirp = int(words[start + 1] >> 12), int(words[start + 1] & 0xFFF)
-        self._broken = self._next_chirp > 0
+        self.lost_words += start
+        counters = int(words[start + 1])
+        self._start_at(start * WORD_BYTES, chirp=counters & 0xFFF, count=counters >> 12)
         self._synced = True
         return True
 
-    def _drop(self, words: int) -> None:
-        self.lost_words += words
-        self._pending = self._pending[words * WORD_BYTES :]
+    def _start_at(self, offset: int, *, chirp: int, count: int) -> None:
+        del self._buffer[:offset]
+        self._first_chirp, self._checked, self._count = chirp, 0, count
 
 
 def header_fields(blocks: np.ndarray) -> np.ndarray:
@@ -204,6 +199,19 @@ def header_fields(blocks: np.ndarray) -> np.ndarray:
     sync, counters, content = words.T
     fields = (sync, counters >> 12, counters & 0xFFF, content >> 12, content >> 2 & 0x3FF)
     return np.stack(fields, axis=1)
+
+
+def _chirp_with_sync_inside(blocks: np.ndarray) -> int | None:
+    """Index of the first chirp (n, chirp_bytes) uint8 whose data holds an all-zero word."""
+    data = blocks[:, HEADER_WORDS * WORD_BYTES :]
+    clean = (data[:, 0::WORD_BYTES] | data[:, 1::WORD_BYTES] | data[:, 2::WORD_BYTES]).all(axis=1)
+    return None if clean.all() else int(np.argmin(clean))
+
+
+def _words(header: bytes | bytearray) -> tuple[int, int, int]:
+    """Three words of a header; plain integers are faster than numpy for so few."""
+    b = header
+    return b[0] << 16 | b[1] << 8 | b[2], b[3] << 16 | b[4] << 8 | b[5], b[6] << 16 | b[7] << 8 | b[8]
 
 
 def _first_header(words: np.ndarray, layout: Layout) -> int | None:
