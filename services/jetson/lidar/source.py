@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import os
+import termios
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -152,6 +153,8 @@ class SerialBytes:
 def explain(port: str, error: Exception, was_open: bool) -> str:
     """What is wrong with the port, in words that say what to do."""
     number = getattr(error, "errno", None)
+    if number is None and isinstance(error.__context__, termios.error):  # pyserial keeps only its text
+        number = error.__context__.args[0]
     if number == errno.ENOENT and was_open:
         return f"{port} is gone: unplugged? Waiting for it to come back"
     if number == errno.ENOENT:

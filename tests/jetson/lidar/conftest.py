@@ -16,7 +16,7 @@ SCAN_NS = 100_000_000  # one turn at 10 Hz
 START_NS = 1_800_000_000_000_000_000
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def slow_crc() -> Callable[[bytes], int]:
     """CRC-8 0x4D bit by bit: no table, no linearity."""
 
@@ -33,7 +33,7 @@ def slow_crc() -> Callable[[bytes], int]:
     return crc
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def slow_parse(slow_crc: Callable[[bytes], int]) -> Callable[[bytes], list[bytes]]:
     """The obvious parser: try every byte, take a packet that checks, else go on by one byte."""
 

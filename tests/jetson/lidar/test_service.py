@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -63,12 +64,14 @@ class Listener:
 
 
 @contextmanager
-def lidar(zenoh_config: ZenohConfig, source: str, **popen: object) -> Iterator[tuple[Listener, subprocess.Popen]]:
-    command = [sys.executable, "-m", "services.jetson.lidar", "--source", source]
+def lidar(
+    zenoh_config: ZenohConfig, source: str, prefix: Sequence[str] = ()
+) -> Iterator[tuple[Listener, subprocess.Popen]]:
+    command = [*prefix, sys.executable, "-m", "services.jetson.lidar", "--source", source]
     command += ["--set", f'zenoh.connect=["{zenoh_config.connect[0]}"]']
     with open_session(zenoh_config) as session:
         listener = Listener(session)
-        process = subprocess.Popen(command, **popen)  # type: ignore[call-overload]
+        process = subprocess.Popen(command)
         try:
             yield listener, process
         finally:
@@ -195,3 +198,16 @@ def test_each_way_of_not_opening_has_its_own_words(
         first.wait(first.says("online"))
         with lidar(zenoh_config, f"serial:{sensor._path}") as (heard, _):
             heard.wait(heard.says("disconnected", "in use by another process"))
+
+
+@pytest.mark.slow
+def test_wrong_permissions_have_their_own_words(zenoh_config: ZenohConfig, tmp_path: Path) -> None:
+    port = tmp_path / "ttyLD06"
+    port.touch(mode=0o000)
+    as_user: list[str] = []
+    if os.geteuid() == 0:  # root without the right to override permissions is like any user to its own files
+        if shutil.which("setpriv") is None:
+            pytest.skip("running as root, and setpriv (util-linux) is not here to give up the right to read everything")
+        as_user = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"]
+    with lidar(zenoh_config, f"serial:{port}", as_user) as (heard, _):
+        heard.wait(heard.says("disconnected", "permission denied"))
