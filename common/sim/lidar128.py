@@ -26,7 +26,6 @@ MAX_RANGE_M = 120.0
 RANGE_NOISE_M = 0.02
 _DROPOUT = 0.01
 _GROUND_REFLECTIVITY = 0.22
-_GROUND_ROUGHNESS_M = 0.008
 _kernel = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
@@ -56,19 +55,18 @@ def scan(name: str | Scenario, t_s: float, columns: int = 1800) -> Scan:
     Bodies move during the turn, as in a real one. Noise depends on the scenario and the time only.
     """
     world = world_at(name, t_s)
-    seed = np.uint64(hash_of(world))
-    return cast_scan(world, columns, seed)
+    return _cast(world, columns, _seed(world))
 
 
-def hash_of(world: WorldState) -> int:
-    """A 64-bit number that depends on scenario and time (to the microsecond) only."""
-    value = 0xCBF29CE484222325  # FNV-1a
+def _seed(world: WorldState) -> np.uint64:
+    """64 bits that depend on scenario and time (to the microsecond) only: FNV-1a."""
+    value = 0xCBF29CE484222325
     for byte in f"{world.scenario}/{round(world.t_s * 1e6)}".encode():
         value = ((value ^ byte) * 0x100000001B3) % 2**64
-    return value
+    return np.uint64(value)
 
 
-def cast_scan(world: WorldState, columns: int, seed: np.uint64) -> Scan:
+def _cast(world: WorldState, columns: int, seed: np.uint64) -> Scan:
     """Cast all rays of one turn at the world."""
     T = world.scene.T_map_pole
     rays = directions(columns)
@@ -78,12 +76,13 @@ def cast_scan(world: WorldState, columns: int, seed: np.uint64) -> Scan:
     range_m = np.empty((columns, RINGS), np.float32)
     hit = np.empty((columns, RINGS), np.int32)
     _hit_ground(rays, T[:3, :3], origin, ground, MAX_RANGE_M, range_m, hit)
-    solids = _near_to_far(world.solids, origin)
+    number = _near_to_far(world.solids, origin)
+    solids = world.solids.take(number)
     windows, clear_m = _windows(solids, invert(T), azimuth)
     to_unit = solids.to_unit @ T[:3, :3]  # takes sensor directions
     start = np.einsum("pij,pj->pi", solids.to_unit, origin - solids.centre_m)
     drift = np.einsum("pij,pj->pi", solids.to_unit, solids.velocity_mps)
-    _hit_solids(rays, column_s, solids.shape, start, drift, to_unit, windows, clear_m, range_m, hit)
+    _hit_solids(rays, column_s, number, solids.shape, start, drift, to_unit, windows, clear_m, range_m, hit)
     reflectivity = np.append(REFLECTIVITY[solids.part], _GROUND_REFLECTIVITY).astype(np.float32)
     count, measured, intensity, rows = _measure(range_m, hit, reflectivity, MAX_RANGE_M, seed)
     return _collect(solids, rays, column_s, hit, measured[:count], intensity[:count], rows[:count])
@@ -132,11 +131,11 @@ def directions(columns: int) -> np.ndarray:
     return rays
 
 
-def _near_to_far(solids: Solids, origin_m: np.ndarray) -> Solids:
-    """Those in range, the nearest first: what they hide is then skipped at once."""
+def _near_to_far(solids: Solids, origin_m: np.ndarray) -> np.ndarray:
+    """Indices of the solids in range, the nearest first: what they hide is then skipped at once."""
     clear_m = np.linalg.norm(solids.centre_m - origin_m, axis=1) - solids.radius_m
     order = np.argsort(clear_m, kind="stable")
-    return solids.take(order[clear_m[order] <= MAX_RANGE_M])
+    return order[clear_m[order] <= MAX_RANGE_M]
 
 
 def _windows(solids: Solids, T_sensor_map: np.ndarray, azimuth_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -234,7 +233,7 @@ def _range_to(shape, o, d, luck):  # type: ignore[no-untyped-def]
 
 
 @_kernel
-def _hit_solids(rays, column_s, shape, start, drift, to_unit, windows, clear_m, range_m, hit):  # type: ignore[no-untyped-def]
+def _hit_solids(rays, column_s, number, shape, start, drift, to_unit, windows, clear_m, range_m, hit):  # type: ignore[no-untyped-def]
     """Lower ``range_m`` where a solid is nearer and note its index in ``hit``."""
     columns, luck = rays.shape[0], 0.0
     o, d = np.empty(3), np.empty(3)
@@ -251,7 +250,7 @@ def _hit_solids(rays, column_s, shape, start, drift, to_unit, windows, clear_m, 
                 for i in range(3):
                     d[i] = m[i, 0] * x + m[i, 1] * y + m[i, 2] * z
                 if shape[solid] == 3:  # the same leaves for the same ray in every turn
-                    luck = np.float64(_noise(np.uint64(solid), column * 128 + ring) >> np.uint64(40)) / 2.0**24
+                    luck = np.float64(_noise(np.uint64(number[solid]), column * 128 + ring) >> np.uint64(40)) / 2.0**24
                 distance = _range_to(shape[solid], o, d, luck)
                 if distance < range_m[column, ring]:
                     range_m[column, ring] = distance
@@ -278,9 +277,9 @@ def _measure(range_m, hit, reflectivity, max_range_m, seed):  # type: ignore[no-
         luck = np.float64(bits >> np.uint64(48)) / 65536.0
         reflects = reflectivity[flat_hit[ray]]
         weak = distance * distance / (max_range_m * max_range_m) * 0.12 / reflects
-        if luck < 0.01 + min(weak, 0.98):
+        if luck < _DROPOUT + min(weak, 0.98):
             continue
-        noise_m = 0.02 * 2.0 * spread  # three uniforms have a standard deviation of one half
+        noise_m = RANGE_NOISE_M * 2.0 * spread  # three uniforms have a standard deviation of one half
         measured[count] = max(distance + noise_m, 0.1)
         brightness = 255.0 * reflects * (0.9 + 0.2 * spread)
         intensity[count] = np.uint8(min(max(brightness, 1.0), 255.0))

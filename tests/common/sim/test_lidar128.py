@@ -160,3 +160,14 @@ def test_weak_returns_are_lost_far_away():
         got = np.count_nonzero((r > low) & (r < high)) / expected
         assert got > share
         assert got < 1.02
+
+
+def test_leaves_stand_still():
+    """A ray that meets leaves meets the same ones in every turn, although bodies come and go."""
+    a, b = scan("crossing", 2.0), scan("crossing", 9.0)
+    keys = [np.round((s.time_s + 0.05) * 18000 - 0.5).astype(int) * RINGS + s.ring for s in (a, b)]
+    _, i, j = np.intersect1d(keys[0], keys[1], return_indices=True)
+    leaves = a.kinds[i] == "tree"
+    gap = np.abs(np.linalg.norm(a.xyz[i], axis=1) - np.linalg.norm(b.xyz[j], axis=1))[leaves]
+    assert leaves.sum() > 2000
+    assert (gap < 0.12).mean() > 0.9  # the rest: a bus stands before the tree
