@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from common.messages import LaserScan, LidarZone, LidarZones, worst
+from common.messages import LaneLayout, LaserScan, LidarZone, LidarZones, worst
 from services.jetson.lidar.config import LidarConfig
 from services.jetson.lidar.filters import Fate, Returns, judge, returns_of
 from services.jetson.lidar.health import Evidence, HealthMonitor, could_see, covered_by_something_near, evidence
@@ -27,6 +27,14 @@ class LidarPipeline:
 
     def __init__(self, config: LidarConfig) -> None:
         self._config = config
+        zones = config.zones
+        self._layout = LaneLayout(
+            centre_width_m=zones.centre_width_m,
+            side_width_m=zones.side_width_m,
+            look_ahead_m=zones.look_ahead_m,
+            imminent_m=zones.imminent_m,
+            caution_m=zones.caution_m,
+        )
         self._lanes = [LanePersistence(config.persistence) for _ in LANES]
         self._health = HealthMonitor(config.health, config.filter, config.zones.fov_deg)
         self._last_ns: int | None = None
@@ -92,6 +100,7 @@ class LidarPipeline:
             level=worst(*(zone.level for zone in zones)),
             raw_level=level_of(min(raw), self._config.zones),
             scan_hz=self._scan_hz(stamp_ns),
+            layout=self._layout,
         )
 
     def _scan_hz(self, stamp_ns: int) -> float:
