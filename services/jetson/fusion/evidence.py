@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from common.messages import Level, SensorState
+from common.messages import LEVELS, Level, SensorState
 
-RANK: dict[Level | None, int] = {None: 0, "SAFE": 0, "CAUTION": 1, "IMMINENT": 2}
+RANK: dict[Level | None, int] = {None: LEVELS.index("SAFE"), **{level: LEVELS.index(level) for level in LEVELS}}
 
 
 @dataclass(frozen=True, slots=True)

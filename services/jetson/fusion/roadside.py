@@ -80,7 +80,7 @@ def time_to_enter(
     position_m: np.ndarray, velocity_mps: np.ndarray, low_m: np.ndarray, high_m: np.ndarray
 ) -> np.ndarray:
     """(N,) seconds until each straight path is inside its box (N, 2 corners); inf = never, 0 = already inside."""
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         to_low, to_high = (low_m - position_m) / velocity_mps, (high_m - position_m) / velocity_mps
     inside = (position_m >= low_m) & (position_m <= high_m)
     still = velocity_mps == 0.0

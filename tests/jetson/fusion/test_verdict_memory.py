@@ -166,6 +166,7 @@ def test_the_verdict_names_the_object_and_what_would_lower_it() -> None:
     assert verdict.inputs["lidar"].used
     assert verdict.inputs["radar"].why == "disconnected: gone; no vote, which is not a vote for SAFE"
     assert not verdict.inputs["radar"].used
+    assert (verdict.stamp_ns, verdict.inputs["lidar"].stamp_ns) == (0, 0), "nobody told"
 
 
 @pytest.mark.parametrize(
