@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+from itertools import islice
+from pathlib import Path
+
+import typer
+
 from common.clock import monotonic_s
-from common.launch import service_app
+from common.launch import load_config, service_app
 from common.runtime import Service
+from common.status import Report
 from common.topics import LIDAR_SCAN, LIDAR_ZONES
 from services.jetson.lidar.config import LidarConfig
 from services.jetson.lidar.filters import Fate
@@ -20,7 +27,7 @@ def run(config: LidarConfig) -> bool:
             begin_s = monotonic_s()
             zones = pipeline.process(stamp_ns, scan)
             zones.stage_ms = {"zones": (monotonic_s() - begin_s) * 1e3}
-            publish_zones(zones)
+            publish_zones(zones)  # first: somebody decides on it
             scan.used = (pipeline.fate == Fate.USED).astype("uint8")
             scan.state, scan.reason = zones.state, zones.reason
             publish_scan(scan)
@@ -30,8 +37,32 @@ def run(config: LidarConfig) -> bool:
 app = service_app("lidar", LidarConfig, run, __doc__)
 
 
+@app.command()
+def plot(
+    context: typer.Context,
+    picture: Path,
+    scans: int = typer.Option(20, help="How many revolutions to look at; the last one is drawn."),
+) -> None:
+    """Draw scan, lanes, zones and rejected points into a PNG file. `--plot FILE` is the same."""
+    from services.jetson.lidar.plot import draw, save
+
+    config = load_config(LidarConfig, *context.obj)
+    pipeline = LidarPipeline(config)
+    for stamp_ns, scan in islice(open_source(config, Report("plot")), scans):
+        zones = pipeline.process(stamp_ns, scan)
+        save(picture, draw(scan, pipeline.fate, zones, config))
+
+
+def plot_as_command(arguments: list[str]) -> list[str]:
+    """``--plot FILE`` among the options becomes the subcommand ``plot FILE`` behind them."""
+    if "--plot" not in arguments:
+        return arguments
+    at = arguments.index("--plot")
+    return arguments[:at] + arguments[at + 2 :] + ["plot", *arguments[at + 1 : at + 2]]
+
+
 def main() -> None:
-    app()
+    app(args=plot_as_command(sys.argv[1:]))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from common.messages import LaneLayout, LaserScan, LidarZone, LidarZones, worst
-from services.jetson.lidar.config import LidarConfig
+from services.jetson.lidar.config import LidarConfig, ZonesSection
 from services.jetson.lidar.filters import Fate, Returns, judge, returns_of
 from services.jetson.lidar.health import Evidence, HealthMonitor, could_see, covered_by_something_near, evidence
 from services.jetson.lidar.persistence import LanePersistence
@@ -37,6 +37,7 @@ class LidarPipeline:
         )
         self._lanes = [LanePersistence(config.persistence) for _ in LANES]
         self._health = HealthMonitor(config.health, config.filter, config.zones.fov_deg)
+        self._layout = layout_of(config.zones)
         self._last_ns: int | None = None
         self._period_s = 0.0
         self.fate = np.empty(0, np.int64)
@@ -114,3 +115,14 @@ class LidarPipeline:
 
 def _motor(scan: LaserScan) -> str:
     return scan.reason if scan.state == "degraded" else ""
+
+
+def layout_of(zones: ZonesSection) -> LaneLayout:
+    """The lanes and lines in use, for viewers."""
+    return LaneLayout(
+        centre_width_m=zones.centre_width_m,
+        side_width_m=zones.side_width_m,
+        look_ahead_m=zones.look_ahead_m,
+        imminent_m=zones.imminent_m,
+        caution_m=zones.caution_m,
+    )
