@@ -45,20 +45,21 @@ def find_peaks(power: np.ndarray, hits: Hits, first_row: int, limit: int) -> Pea
     up, down = np.maximum(hits.row - 1, first_row), np.minimum(hits.row + 1, rows - 1)
     left, right = (hits.column - 1) % columns, (hits.column + 1) % columns
     here = power[hits.row, hits.column]
-    around = power[np.stack([up, hits.row, down])[:, None], np.stack([left, hits.column, right])[None, :]]
-    top = here >= around.max(axis=(0, 1))
-    keep = np.flatnonzero(top)
+    around = power[np.array([[up], [hits.row], [down]]), np.array([left, hits.column, right])]
+    keep = np.flatnonzero(here >= around.max(axis=(0, 1)))
     keep = keep[np.argsort(-here[keep], kind="stable")][:limit]
-    row, column, here = hits.row[keep], hits.column[keep], here[keep]
+    row, column, left, right = hits.row[keep], hits.column[keep], left[keep], right[keep]
+    before, after = np.maximum(row - 1, 0), np.minimum(row + 1, rows - 1)
+    cells = np.array([power[before, column], power[row, left], here[keep], power[after, column], power[row, right]])
+    nearer, slower, top, farther, faster = 10 * np.log10(np.maximum(cells, 1e-30))
     inner = (row > 0) & (row < rows - 1)
-    before, after = power[np.maximum(row - 1, 0), column], power[down[keep], column]
     return Peaks(
         row,
         column,
-        row + np.where(inner, _vertex(before, here, after), 0.0),
-        column + _vertex(power[row, left[keep]], here, power[row, right[keep]]),
-        10 * np.log10(here),
-        10 * np.log10(here / hits.noise[keep]),
+        row + np.where(inner, _vertex(nearer, top, farther), 0.0),
+        column + _vertex(slower, top, faster),
+        top,
+        top - 10 * np.log10(hits.noise[keep]),
     )
 
 
@@ -77,6 +78,7 @@ def group(
     stands near it, but what stands (clutter that the body shadows, for example) never takes a moving body.
     """
     free = np.ones(len(range_m), bool)
+    known_rad = np.where(np.isnan(azimuth_rad), 0.0, azimuth_rad)
     moving = np.abs(velocity_mps) >= config.moving_mps
     bodies: list[Detection] = []
     for i in np.concatenate([np.flatnonzero(moving), np.flatnonzero(~moving)]):
@@ -86,7 +88,7 @@ def group(
         body = (
             (np.abs(range_m - range_m[i]) <= config.body_range_m)
             & (np.minimum(apart_mps, 2 * v_max_mps - apart_mps) <= config.body_velocity_mps)
-            & (np.nan_to_num(np.abs(azimuth_rad - azimuth_rad[i])) <= config.body_azimuth_rad)
+            & (np.abs(known_rad - known_rad[i]) <= config.body_azimuth_rad)
         )
         part = body & free & (moving == moving[i]) & (peaks.power_db >= peaks.power_db[i] - config.part_db)
         azimuth = None if np.isnan(azimuth_rad[i]) else float(azimuth_rad[i])
@@ -118,9 +120,7 @@ def _is_behind(body: Detection, nearer: Detection, config: DetectionConfig) -> b
     )
 
 
-def _vertex(before: np.ndarray, top: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Offset of the top of a parabola through three log powers, within half a bin either way."""
-    a, b, c = (np.log(np.maximum(value, 1e-30)) for value in (before, top, after))
-    curvature = a - 2 * b + c
-    offset = 0.5 * (a - c) / np.where(curvature < 0, curvature, -1.0)
-    return np.clip(np.where(curvature < 0, offset, 0.0), -0.5, 0.5)
+def _vertex(before_db: np.ndarray, top_db: np.ndarray, after_db: np.ndarray) -> np.ndarray:
+    """Offset of the top of a parabola through three levels in dB, within half a bin either way."""
+    curvature = np.minimum(before_db - 2 * top_db + after_db, -1e-9)
+    return np.clip(0.5 * (before_db - after_db) / curvature, -0.5, 0.5)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from services.radar_pi.cfar_design import os_mean_ratio
@@ -25,4 +27,5 @@ class RowNoise:
 
 def noise_floor_db(row_noise: np.ndarray) -> float:
     """Noise of the whole map per ADC sample: dB over one squared step."""
-    return 10 * float(np.log10(max(float(np.median(row_noise)), 1e-12)))
+    middle = float(np.sort(row_noise, axis=0)[len(row_noise) // 2, 0])
+    return 10 * math.log10(max(middle, 1e-12))

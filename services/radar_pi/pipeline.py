@@ -6,6 +6,7 @@ Kalman tracks -> alarm levels, and beside them the radar's own health.
 
 from __future__ import annotations
 
+import math
 from time import perf_counter
 
 import numpy as np
@@ -162,8 +163,10 @@ class RadarPipeline:
     def _leakage_db(self) -> float:
         """Static power in the bins nearer than anything that is looked at: transmitter leakage, window, cover."""
         background = self.clutter.background
-        near = 1.0 if background is None else float((np.abs(background[:, : self.axes.near_bin]) ** 2).mean())
-        return 10 * float(np.log10(max(near, 1e-12)))
+        if background is None:
+            return 0.0
+        near = background[:, : self.axes.near_bin].ravel()
+        return 10 * math.log10(max(float(np.vdot(near, near).real) / near.size, 1e-12))
 
     def _report(self, track: Track, stamp_ns: int, ego_speed_mps: float | None) -> RadarTrack:
         tracking = self.config.tracking
