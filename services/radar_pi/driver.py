@@ -46,7 +46,8 @@ IRQ_REHABILITATION = 50  # ... until it was right so often
 SELF_TEST_WORDS = 256
 SELF_TEST_TRIES = 3
 SELF_TEST_POLLS = 10
-MAX_CURES = 6  # without a frame in between
+CURES_PER_STEP = 3  # so often is a cure tried before the next stronger one: the host may just be busy
+MAX_CURES = 12  # without a frame in between
 
 
 class RadarFrame(NamedTuple):
@@ -120,7 +121,7 @@ class Driver:
         self._last_count: int | None = None
 
     def _recover(self, fault: RadarFault, cures: int) -> None:
-        """Restart with the fault's cure, or one step stronger for every cure that brought no frame.
+        """Restart with the fault's cure, or a stronger one after several that brought no frame.
 
         Raises:
             RadarFault: nothing helps.
@@ -129,7 +130,7 @@ class Driver:
             raise fault
         if fault.name == "fifo_underflow":
             self._irq.distrust()
-        cure = Cure(min(fault.cure + cures, Cure.HARDWARE_RESET))
+        cure = Cure(min(fault.cure + cures // CURES_PER_STEP, Cure.HARDWARE_RESET))
         name = cure.name.lower().replace("_", " ")
         self._report.bad_input(fault.name)
         self._report.state("degraded", f"{fault}; {name}, clutter background starts again")

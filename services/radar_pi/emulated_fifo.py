@@ -73,6 +73,11 @@ class EmulatedFifo:
             self._produced = self._consumed + FIFO_WORDS
             self.overflowed, self.running = True, False
 
+    def prepare(self) -> None:
+        """Make the content of the next word's frame now, while there is time: the reader has none later."""
+        if self.running:
+            self._frame(self._consumed // self._schedule.frame_words)
+
     def fill_exceeds_s(self, mark: int) -> float:
         """Clock time at which more than ``mark`` words are there; infinity if never, the past if they are."""
         self.advance(self._clock.monotonic_s())

@@ -85,6 +85,7 @@ class EmulatedChip:
     def wait_irq(self, timeout_s: float) -> bool:
         """The line is high while more words than FIFO_CREF are there; sleeps on the clock until then."""
         end_s = self._clock.monotonic_s() + timeout_s
+        self._fifo.prepare()
         while not self._irq_high():
             now_s = self._clock.monotonic_s()
             if now_s >= end_s:

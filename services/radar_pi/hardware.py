@@ -9,7 +9,7 @@ from common.clock import monotonic_s
 from services.radar_pi.config import SpiConfig
 
 _BUFFER_LIMIT = Path("/sys/module/spidev/parameters/bufsiz")
-_DEFAULT_BUFFER = 4096
+_LARGEST_TRANSFER = 4096  # of spidev's xfer2, and the kernel's default
 
 
 class HardwareError(OSError):
@@ -99,8 +99,8 @@ def _request_lines(config: SpiConfig) -> tuple[Any, Any]:
 
 
 def _buffer_limit() -> int:
-    """Bytes that spidev moves in one transfer."""
+    """Bytes that the kernel moves in one transfer, if somebody made that less than what spidev allows."""
     try:
-        return int(_BUFFER_LIMIT.read_text())
+        return min(int(_BUFFER_LIMIT.read_text()), _LARGEST_TRANSFER)
     except (OSError, ValueError):
-        return _DEFAULT_BUFFER
+        return _LARGEST_TRANSFER

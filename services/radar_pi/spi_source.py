@@ -27,6 +27,8 @@ LAST_RETRY_S = 5.0
 def open_spi(target: str, config: RadarConfig, report: Report) -> Iterator[RadarFrame]:
     """Frames of ``BUS.DEVICE`` or of the emulated chip (``emulator``, ``emulator/SCENARIO``, ``emulator/noise``).
 
+    Without a target it is ``[spi] bus`` and ``device``.
+
     Raises:
         ConfigError: an unknown target, or a waveform that the chip cannot do.
     """
@@ -40,7 +42,7 @@ def link_opener(target: str, config: SpiConfig, clock: Clock) -> Callable[[], Li
     if kind == "emulator":
         signal = signals.noise() if scenario == "noise" else _world(scenario or "crossing")
         return lambda: EmulatedChip(clock, signal)
-    bus, dot, device = target.partition(".")
+    bus, dot, device = (target or f"{config.bus}.{config.device}").partition(".")
     if not (dot and bus.isdigit() and device.isdigit()):
         raise ConfigError(f"source spi:{target}: expected spi:BUS.DEVICE (spi:0.0) or spi:emulator")
     wired = msgspec.structs.replace(config, bus=int(bus), device=int(device))
