@@ -19,10 +19,13 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
     """Run a small made-up frame through a pipeline of its own; returns the milliseconds it took."""
     tell("loading kernels; on the first start on this machine they are compiled, which takes up to 15 s")
     watch = Stopwatch()
-    quick = msgspec.structs.replace(config.background, learn_s=0.1, min_frames=5)
-    pipeline = InfraLidarPipeline(msgspec.structs.replace(config, background=quick, T_map_sensor=()))
+    background = msgspec.structs.replace(config.background, learn_s=0.1, min_frames=5, azimuth_cells=90)
+    calibration = msgspec.structs.replace(config.calibration, frames=1, hypotheses=16)
+    pipeline = InfraLidarPipeline(
+        msgspec.structs.replace(config, calibration=calibration, background=background, T_map_sensor=())
+    )
     frame = made_up_frame()
-    for k in range(config.calibration.frames + quick.min_frames + 3):  # to the end of learning and beyond
+    for k in range(9):  # to the end of learning and beyond
         pipeline.process(1_000_000_000 + k * 100_000_000, frame)
     watch.lap("warm-up")
     log.info("kernels ready after %.1f s", watch.stage_ms["warm-up"] / 1e3)
