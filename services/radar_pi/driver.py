@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from common.config import ConfigError
 from common.status import Report
 from services.radar_pi import registers as reg
 from services.radar_pi.chip import Chip, ChipRefused, Cure, RadarFault
 from services.radar_pi.exports import Plan
+from services.radar_pi.interrupt import InterruptLine
 from services.radar_pi.link import Clock, Link
 from services.radar_pi.packing import (
     COUNTER_SPAN,
@@ -32,7 +32,7 @@ from services.radar_pi.packing import (
     unpack_words,
 )
 from services.radar_pi.registers import Fstat, Register
-from services.radar_pi.schedule import WordSchedule
+from services.radar_pi.schedule import WordSchedule, burst_words
 from services.radar_pi.stamps import FrameStamps
 
 log = logging.getLogger("driver")
@@ -41,8 +41,6 @@ POLL_S = 0.5e-3
 DUE_MARGIN_S = 50e-6  # the first look comes so long after the words were due
 IRQ_GRACE_S = 2e-3  # an interrupt later than this is looked for in FSTAT
 STALL_S = 0.1  # no words for so long after they were due: the chip has stopped
-IRQ_STRIKES = 3  # wrong in a row: the line is not trusted any more ...
-IRQ_REHABILITATION = 50  # ... until it was right so often
 SELF_TEST_WORDS = 256
 SELF_TEST_TRIES = 3
 SELF_TEST_POLLS = 10
@@ -262,40 +260,3 @@ class Driver:
     def _note(self) -> str:
         polling = "" if self._irq.trusted else "interrupt line is not to be trusted: polling; check [spi] irq_gpio"
         return "; ".join(filter(None, (self._self_test_text, polling)))
-
-
-class InterruptLine:
-    """Whether the interrupt line can be believed: compared with FSTAT whenever it looks wrong."""
-
-    def __init__(self) -> None:
-        self.trusted = True
-        self.strikes = 0
-        self._right = 0
-
-    def compare(self, *, said: bool, truth: bool) -> None:
-        """The line said so, FSTAT says the truth. Both silent tells nothing."""
-        if said != truth:
-            self.strikes, self._right = self.strikes + 1, 0
-            self.trusted = self.trusted and self.strikes < IRQ_STRIKES
-        elif said:
-            self._right += 1
-            if self._right >= IRQ_REHABILITATION:
-                self.trusted, self.strikes = True, 0
-
-    def distrust(self) -> None:
-        """It announced words that were not there."""
-        self.trusted, self.strikes, self._right = False, 0, 0
-
-
-def burst_words(layout: Layout, max_bytes: int) -> int:
-    """The largest part of a frame that divides it, fits into one transfer and leaves most of the FIFO as reserve.
-
-    Raises:
-        ConfigError: the frame has no such part of at least 16 words.
-    """
-    limit = min((max_bytes - reg.COMMAND_BYTES) // reg.WORD_BYTES, reg.FIFO_WORDS // 8)
-    words = next(n for n in range(min(limit, layout.frame_words), 0, -1) if layout.frame_words % n == 0)
-    if words < min(16, layout.frame_words):
-        text = f"{layout.frame_words} words of a frame cannot be cut into equal bursts of 16 to {limit} words"
-        raise ConfigError(f"[waveform] chirps, samples: {text}; choose other numbers")
-    return words

@@ -1,8 +1,13 @@
-"""When each word of a frame is in the FIFO, by the programmed timing. Emulator and driver share this table."""
+"""When each word of a frame is in the FIFO, by the programmed timing, and in which bursts it is read.
+
+Emulator and driver share this table.
+"""
 
 from __future__ import annotations
 
-from services.radar_pi.packing import HEADER_WORDS
+from common.config import ConfigError
+from services.radar_pi import registers as reg
+from services.radar_pi.packing import HEADER_WORDS, Layout
 from services.radar_pi.waveform import CLOCK_HZ, Timing
 
 
@@ -51,3 +56,17 @@ class WordSchedule:
             return 0
         conversions = min(since_first // self._timing.adc_divider, self._timing.samples)
         return self._header_words + conversions * self._rx // 2
+
+
+def burst_words(layout: Layout, max_bytes: int) -> int:
+    """The largest part of a frame that divides it, fits into one transfer and leaves most of the FIFO as reserve.
+
+    Raises:
+        ConfigError: the frame has no such part of at least 16 words.
+    """
+    limit = min((max_bytes - reg.COMMAND_BYTES) // reg.WORD_BYTES, reg.FIFO_WORDS // 8)
+    words = next(n for n in range(min(limit, layout.frame_words), 0, -1) if layout.frame_words % n == 0)
+    if words < min(16, layout.frame_words):
+        text = f"{layout.frame_words} words of a frame cannot be cut into equal bursts of 16 to {limit} words"
+        raise ConfigError(f"[waveform] chirps, samples: {text}; choose other numbers")
+    return words

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from common.config import ConfigError
 from services.radar_pi import registers as reg
+from services.radar_pi.analogue import gain_and_cutoff, receivers, temperature_adc
 from services.radar_pi.config import WaveformConfig
 from services.radar_pi.registers import Field, PdMode, Register, Registers
 
@@ -19,7 +20,6 @@ CLOCK_HZ = 80_000_000
 CODE_HZ = 8 * CLOCK_HZ / 2**20  # one step of a frequency code: 610.35 Hz
 _DIVSET = 20
 _CENTRE_CODE = (4 * (_DIVSET + 2) + 8) << 20  # 96 * 640 MHz = 61.44 GHz
-HP_CUTOFFS_HZ = (20_000, 45_000, 70_000, 80_000)
 _RATE_TOLERANCE = 1e-3
 _MIN_PAUSE = 11  # clocks: the shortest timer that is more than one clock
 _MAX_EXPONENT = 16  # 5-bit fields; the data sheet calls up to 10 verified, Infineon's own exports go to 13
@@ -108,8 +108,8 @@ def register_list(waveform: WaveformConfig) -> Registers:
     registers[Register.MAIN] = 0x1E0000 | _timer(reg.TR_WKUP, reg.TR_WKUP_MUL, _WAKE_UP)
     registers[Register.ADC0] = reg.ADC_DIV.bits(divider) | 0x210
     registers[Register.SFCTL] = reg.QSPI_WT.bits(1) | reg.FIFO_LP_MODE.bits(1)
-    registers[Register.SADC_CTRL] = _temperature_adc(waveform.samples * divider)
-    registers |= _receivers(waveform)
+    registers[Register.SADC_CTRL] = temperature_adc(waveform.samples * divider)
+    registers |= receivers(waveform)
     registers |= _ramp(waveform, divider, start_delay)
     registers[Register.CCR0] = (
         reg.TR_END.bits(_TR_END)
@@ -169,7 +169,7 @@ def waveform_of(registers: Mapping[int, int]) -> WaveformConfig:
     delay = 8 * reg.TR_SSTART.of(registers) + 1
     start_code = reg.FSU.signed(registers) + max(on, 0) * slope
     end_code = start_code + slope * (delay + timing.samples * timing.adc_divider)
-    gain_db, cutoff_hz = _gain_and_cutoff(registers)
+    gain_db, cutoff_hz = gain_and_cutoff(registers)
     try:
         return WaveformConfig(
             start_frequency_hz=(_CENTRE_CODE + start_code) * CODE_HZ,
@@ -182,7 +182,7 @@ def waveform_of(registers: Mapping[int, int]) -> WaveformConfig:
             rx_mask=reg.BBCH_SEL.of(registers),
             tx_power_level=reg.TX_DAC.of(registers),
             if_gain_db=gain_db,
-            hp_cutoff_hz=cutoff_hz,  # type: ignore[arg-type]  # one of HP_CUTOFFS_HZ
+            hp_cutoff_hz=cutoff_hz,
             sample_delay_s=delay / CLOCK_HZ,
         )
     except ValueError as error:
@@ -198,46 +198,6 @@ def adc_divider(sample_rate_hz: float) -> int:
             f"[waveform] sample_rate_hz = {sample_rate_hz:g}: the chip has 80 MHz / n; next is {got_hz:.1f}"
         )
     return divider
-
-
-def _receivers(waveform: WaveformConfig) -> Registers:
-    """Mixers, gains, filters and transmitter power."""
-    mask = waveform.rx_mask
-    enable = reg.TX_EN.bits(1) | reg.VCO_EN.bits(1) | reg.FDIV_EN.bits(1) | reg.BBCHGLOB_EN.bits(1)
-    enable |= reg.LO_DIST1_EN.bits(1) | reg.LO_DIST2_EN.bits(1 if mask & 0b101 else 0)
-    enable |= sum(reg.RX_EN[n].bits(0b11) for n in range(3) if mask >> n & 1)
-    high_pass, vga = _gain_stages(waveform.if_gain_db)
-    cutoff = HP_CUTOFFS_HZ.index(waveform.hp_cutoff_hz)
-    gain = reg.HP_GAIN.bits(high_pass * 0b111)  # idle receivers are set as well, as in the exports
-    gain |= sum(reg.VGA_GAIN[n].bits(vga) | reg.HPF_SEL[n].bits(cutoff) for n in range(3))
-    channels = reg.BBCH_SEL.bits(mask) | reg.BB_RSTCNT.bits(127) | reg.TEMP_MEAS_EN.bits(1) | reg.MADC_EN.bits(1)
-    return {
-        Register.CS1_U_0: enable,
-        Register.CS1_U_1: channels | reg.TX_DAC.bits(waveform.tx_power_level),
-        Register.CS1_U_2: gain,
-    }
-
-
-def _gain_stages(gain_db: int) -> tuple[int, int]:
-    """(HP_GAIN bit, VGA code): first stage 18 or 30 dB, second 0 to 30 dB in steps of 5."""
-    for bit, first_db in ((1, 18), (0, 30)):
-        steps, rest = divmod(gain_db - first_db, 5)
-        if rest == 0 and 0 <= steps <= 6:
-            return bit, steps
-    raise ConfigError(f"[waveform] if_gain_db = {gain_db}: the chip has 18, 23 .. 48 and 30, 35 .. 60")
-
-
-def _gain_and_cutoff(registers: Mapping[int, int]) -> tuple[int, int]:
-    mask = reg.BBCH_SEL.of(registers)
-    stages = {
-        (reg.HP_GAIN.of(registers) >> n & 1, reg.VGA_GAIN[n].of(registers), reg.HPF_SEL[n].of(registers))
-        for n in range(3)
-        if mask >> n & 1
-    }
-    if len(stages) != 1:
-        raise ConfigError(f"registers: CS1_U_2: one gain and filter for all active receivers expected, got {stages}")
-    ((high_pass, vga, cutoff),) = stages
-    return (18 if high_pass else 30) + 5 * vga, HP_CUTOFFS_HZ[cutoff]
 
 
 def _ramp(waveform: WaveformConfig, divider: int, start_delay: int) -> Registers:
@@ -278,15 +238,6 @@ def _with_pauses(waveform: WaveformConfig, registers: Registers) -> Registers:
         raise ConfigError(f"[waveform] frame_period_s = {waveform.frame_period_s:g}: at least {least_ms:.4f} ms")
     frame_pause = _timer(reg.TR_FED, reg.TR_FED_MUL, _nearest_timer(rest))
     return with_shape | {Register.CCR1: with_shape[Register.CCR1] | frame_pause}
-
-
-def _temperature_adc(sampling_clocks: int) -> int:
-    """The most accurate temperature reading that fits into one chirp: 20 MHz conversion clocks per setting."""
-    settings = ((1440, 3, 1), (928, 3, 0), (180, 2, 1), (116, 2, 0), (90, 1, 1), (58, 1, 0), (45, 0, 1))
-    fitting = ((over, spread) for clocks, over, spread in settings if sampling_clocks >= 4 * clocks)
-    oversampling, spread = next(fitting, (0, 0))
-    fixed = reg.SADC_TC_TRIM.bits(4) | reg.SADC_SD_EN.bits(1)
-    return fixed | reg.SADC_OVERS_CFG.bits(oversampling) | reg.SADC_SESP.bits(spread)
 
 
 def _timer(counter: Field, exponent: Field, setting: tuple[int, int]) -> int:

@@ -16,11 +16,12 @@ from common.status import Report
 from services.radar_pi import registers as reg
 from services.radar_pi.chip import ChipRefused, RadarFault
 from services.radar_pi.config import RadarConfig, WaveformConfig
-from services.radar_pi.driver import Driver, RadarFrame, burst_words
+from services.radar_pi.driver import Driver, RadarFrame
 from services.radar_pi.emulator import EmulatedChip
 from services.radar_pi.exports import plan
 from services.radar_pi.packing import Layout
 from services.radar_pi.registers import Register
+from services.radar_pi.schedule import burst_words
 from services.radar_pi.spi_source import keep_open, link_opener, open_spi
 
 DEFAULT = plan(WaveformConfig())

@@ -214,6 +214,7 @@ def test_what_the_chip_does_is_near_what_was_asked(
     [
         ({"sample_rate_hz": 1.9e6}, "80 MHz / n; next is 1904761.9"),
         ({"if_gain_db": 24}, "the chip has 18, 23 .. 48 and 30, 35 .. 60"),
+        ({"hp_cutoff_hz": 50_000}, "hp_cutoff_hz = 50000: the chip has"),
         ({"chirp_period_s": 1.06e-4}, "chirp_period_s = 0.000106: at least 110.125 us"),
         ({"frame_period_s": 0.01537}, "frame_period_s = 0.01537: at least"),
         ({"samples": 4095, "chirp_period_s": 4e-3, "frame_period_s": 0.3}, "a ramp lasts at most"),
