@@ -128,6 +128,7 @@ class TrackingConfig(Section, frozen=True, kw_only=True):
     delete_misses: Annotated[int, Meta(ge=1, le=50)] = 3
     approach_frames: Annotated[int, Meta(ge=1, le=50)] = 3
     moving_mps: Positive = 0.15  # slower is standing
+    max_speed_mps: Positive = 6.0  # beyond v_max a speed is told from its alias by the range, up to this one
 
 
 class AlarmConfig(Section, frozen=True, kw_only=True):

@@ -6,7 +6,7 @@ Constant velocity with white acceleration; azimuth is a random walk. Gates are M
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from filterpy.kalman import predict, update
@@ -24,18 +24,21 @@ _FAR = 1e6
 class Track:
     """One body over time. Counters are in frames."""
 
-    track_id: int
     state: np.ndarray  # (3,) metres, metres per second, radians
     covariance: np.ndarray  # (3, 3)
     snr_db: float
     has_azimuth: bool
+    track_id: int = 0  # given on confirmation
     age: int = 1  # detections since creation
     misses: int = 0  # in a row
     closing: int = 0  # closing detections in a row; a miss starts over
     not_closing: int = 0  # detections in a row that do not close
     approaching: bool = False  # the approach gate has passed
     last_approach_ns: int | None = None
-    confirmed: bool = field(default=False)
+
+    @property
+    def confirmed(self) -> bool:
+        return self.track_id > 0
 
     @property
     def range_m(self) -> float:
@@ -127,11 +130,12 @@ class Tracker:
         track.has_azimuth |= detection.azimuth_rad is not None
         track.age += 1
         track.misses = 0
-        track.confirmed |= track.age >= self._config.confirm_frames
-        self._judge_approach(track, stamp_ns)
+        self._judge(track, stamp_ns)
 
-    def _judge_approach(self, track: Track, stamp_ns: int) -> None:
-        """The approach gate: so many closing frames in a row open it, as many that do not close shut it."""
+    def _judge(self, track: Track, stamp_ns: int) -> None:
+        """Confirmation, and the approach gate: so many closing frames in a row open it, as many others shut it."""
+        if not track.confirmed and track.age >= self._config.confirm_frames:
+            track.track_id, self._next_id = self._next_id, self._next_id + 1
         if track.velocity_mps <= -self._config.moving_mps:
             track.closing, track.not_closing = track.closing + 1, 0
         else:
@@ -159,17 +163,18 @@ class Tracker:
             covariance = self._noise.copy()
             if azimuth is None:
                 covariance[AZIMUTH, AZIMUTH] = _UNKNOWN_AZIMUTH_VARIANCE
-            track = Track(
-                track_id=self._next_id,
-                state=np.array([detection.range_m, detection.velocity_mps, azimuth or 0.0]),
-                covariance=covariance,
-                snr_db=detection.snr_db,
-                has_azimuth=azimuth is not None,
-                confirmed=self._config.confirm_frames <= 1,
-            )
-            self._judge_approach(track, stamp_ns)
-            self._next_id += 1
-            self.tracks.append(track)
+            for velocity_mps in self._aliases(detection.velocity_mps):
+                state = np.array([detection.range_m, velocity_mps, azimuth or 0.0])
+                track = Track(state, covariance.copy(), detection.snr_db, has_azimuth=azimuth is not None)
+                self._judge(track, stamp_ns)
+                self.tracks.append(track)
+
+    def _aliases(self, velocity_mps: float) -> list[float]:
+        """Every speed that shows up as this one: a hypothesis each. The next frame's range decides."""
+        span = 2 * self._v_max_mps
+        reach = int((self._config.max_speed_mps + self._v_max_mps) / span)
+        speeds = [velocity_mps + fold * span for fold in range(-reach, reach + 1)]
+        return [v for v in speeds if v == velocity_mps or abs(v) <= self._config.max_speed_mps]
 
     def _same_body(self, track: Track, detection: Detection) -> bool:
         turned_rad = 0.0

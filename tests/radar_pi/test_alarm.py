@@ -18,7 +18,7 @@ NOW_NS = 100_000_000_000
 
 def track(range_m: float, velocity_mps: float, *, approaching: bool, ago_s: float | None = None) -> Track:
     return Track(
-        track_id=1, state=np.array([range_m, velocity_mps, 0.0]), covariance=np.eye(3), snr_db=30.0, has_azimuth=True,
+        state=np.array([range_m, velocity_mps, 0.0]), covariance=np.eye(3), snr_db=30.0, has_azimuth=True, track_id=1,
         approaching=approaching, last_approach_ns=None if ago_s is None else NOW_NS - round(ago_s * 1e9),
     )  # fmt: skip
 

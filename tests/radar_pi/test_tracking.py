@@ -80,6 +80,23 @@ def test_a_velocity_beyond_the_limit_is_unfolded_by_the_track() -> None:
     assert last[0].velocity_mps == pytest.approx(speeds[-1], abs=0.1)
 
 
+@pytest.mark.parametrize("velocity_mps", [-4.0, -2.0, -1.4, 1.4, 2.6])
+def test_a_body_too_fast_for_the_waveform_is_told_from_its_alias_by_its_range(velocity_mps: float) -> None:
+    v_max = 1.27
+    shown = (velocity_mps + v_max) % (2 * v_max) - v_max
+    start_m = 5.0 if velocity_mps < 0 else 1.0
+    frames = [[seen(start_m + velocity_mps * PERIOD_S * i, shown)] for i in range(10)]
+    history = run(tracker(v_max), frames)
+    assert all(len(tracks) == 1 for tracks in history[2:])
+    assert {track.track_id for tracks in history for track in tracks} == {1}
+    assert history[-1][0].velocity_mps == pytest.approx(velocity_mps, abs=0.1)
+
+
+def test_ids_are_given_to_what_is_reported_only() -> None:
+    frames = [[seen(5.0)], [], [seen(2.0)], [], *moving(3.0, 0.0, 3)]
+    assert run(tracker(), frames)[-1][0].track_id == 1
+
+
 def test_approach_gate_opens_after_three_closing_frames() -> None:
     history = run(tracker(), moving(3.0, -1.0, 4))
     assert [[track.approaching for track in tracks] for tracks in history] == [[], [], [True], [True]]
