@@ -1,4 +1,4 @@
-"""Shared by the tests of the roadside lidar: generated scenes with their truth, and the recordings if they are there."""
+"""Shared by the tests of the roadside lidar: generated scenes with their truth, and recordings where they exist."""
 
 from __future__ import annotations
 

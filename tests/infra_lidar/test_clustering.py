@@ -1,0 +1,178 @@
+"""Clusters: what stays apart, what stays whole, and whole streets against their truth."""
+
+from collections import Counter
+
+import msgspec
+import numpy as np
+import pytest
+
+from services.infra_lidar.clustering import Clustering
+from services.infra_lidar.config import ARTICLE_CLUSTERING, ARTICLE_GROUND, ClusteringConfig, GroundConfig
+from services.infra_lidar.ground import Ground, Levelled
+
+LARGE = ("bus", "truck")
+
+
+def _solid(x, y, length, width, low, high, n=400, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform([x - length / 2, y - width / 2, low], [x + length / 2, y + width / 2, high], (n, 3))
+
+
+def _cluster(*parts, config=None):
+    """Cluster level-frame points whose road is z = 0; returns the clusters and which part each point came from."""
+    xyz = np.vstack(parts).astype(np.float32)
+    owner = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
+    n = len(xyz)
+    frame = Levelled(
+        x=xyz[:, 0].copy(), y=xyz[:, 1].copy(), z=xyz[:, 2].copy(), cell=np.zeros(n, np.int16),
+        ground=np.zeros(n, bool), rest=np.arange(n, dtype=np.int32), above_m=xyz[:, 2].copy(),
+    )  # fmt: skip
+    return Clustering(config or ClusteringConfig(), 100.0).cluster(frame), owner
+
+
+def _own(found, owner):
+    """Clusters that each part's points went to."""
+    return [set(found.cluster_id[owner == k].tolist()) - {-1} for k in range(owner.max(initial=-1) + 1)]
+
+
+def test_two_people_half_a_metre_apart_near_the_pole():
+    found, owner = _cluster(_solid(8, 0, 0.4, 0.4, 0.2, 1.7), _solid(8, 0.9, 0.4, 0.4, 0.2, 1.7))
+    assert len(found) == 2
+    assert all(len(c) == 1 for c in _own(found, owner))
+
+
+def test_a_sparse_far_car_stays_whole_where_fixed_cells_break_it():
+    car = _solid(60, 0, 4.2, 1.8, 0.2, 1.5, n=60)
+    assert len(_cluster(car)[0]) == 1
+    fixed = ClusteringConfig(cell_growth_m=0.0, merge="off")
+    assert len(_cluster(car, config=fixed)[0]) != 1
+
+
+def test_a_canopy_does_not_join_the_cars_below():
+    cars = _solid(10, 0, 4.2, 1.8, 0.2, 1.5), _solid(10, 4, 4.2, 1.8, 0.2, 1.5)
+    canopy = _solid(10, 2, 7.0, 7.0, 2.6, 4.4, n=3000)
+    found, owner = _cluster(*cars, canopy)
+    of_car_a, of_car_b, of_canopy = _own(found, owner)
+    assert len(of_car_a) == len(of_car_b) == 1
+    assert not of_car_a & of_car_b
+    assert not (of_car_a | of_car_b) & of_canopy
+    all_heights = ClusteringConfig(body_height_m=0.0)
+    assert len(_cluster(*cars, canopy, config=all_heights)[0]) < 3
+
+
+def test_a_bus_keeps_its_roof():
+    found, _ = _cluster(_solid(15, 0, 12, 2.5, 0.3, 3.2, n=6000))
+    assert len(found) == 1
+    assert found.box[0, 5] == pytest.approx(2.9, abs=0.1)
+    assert found.box[0, 3] == pytest.approx(12, abs=0.4)
+
+
+def test_the_two_ends_of_a_hidden_bus_are_joined_and_a_cyclist_before_it_is_not():
+    ends = _solid(28, -4.5, 2.4, 2.0, 0.4, 3.0, n=200), _solid(28, 0.2, 2.4, 3.0, 0.4, 3.0, n=200)
+    cyclist = _solid(25.6, -2.4, 0.6, 1.7, 0.2, 1.75, n=120)
+    found, owner = _cluster(*ends, cyclist)
+    one, other, rider = _own(found, owner)
+    assert one == other
+    assert len(one) == 1
+    assert rider
+    assert not rider & one
+
+
+def test_people_beside_a_parked_car_are_not_joined_to_it():
+    found, owner = _cluster(_solid(12, 0, 4.3, 1.8, 0.2, 1.5), _solid(12, 1.6, 0.5, 0.5, 0.2, 1.7))
+    car, person = _own(found, owner)
+    assert not car & person
+
+
+@pytest.mark.parametrize(
+    ("part", "why"),
+    [
+        (_solid(10, 0, 0.5, 0.5, 0.2, 1.7, n=6), "too few points"),
+        (_solid(10, 0, 30, 0.3, 0.2, 1.7, n=4000), "too long"),
+        (_solid(10, 0, 1.0, 1.0, 0.16, 0.3), "too low"),
+    ],
+)
+def test_impossible_sizes_are_dropped(part, why):
+    found, _ = _cluster(part)
+    assert len(found) == 0, why
+    assert (found.cluster_id == -1).all()
+
+
+def test_grouped_points_and_ids_agree():
+    found, _ = _cluster(_solid(8, 0, 0.5, 0.5, 0.2, 1.7), _solid(20, 9, 4, 1.8, 0.2, 1.5))
+    for k in range(len(found)):
+        points = found.points[found.offsets[k] : found.offsets[k + 1]]
+        assert len(points) == (found.cluster_id == k).sum() == found.counts[k]
+        assert np.allclose(points.mean(axis=0)[:2], found.box[k, :2], atol=0.5)
+
+
+def _own_cluster_shares(frames, ground, clustering):
+    """Share of objects with 20 points or more that have a cluster mostly theirs with at least half of those points."""
+    good, total = Counter(), Counter()
+    remove, group = Ground(ground), Clustering(clustering, ground.range_max_m)
+    for frame in frames:
+        levelled = remove.remove(frame.points, frame.T_level_sensor)
+        found = group.cluster(levelled)
+        inside = levelled.cell >= 0
+        for actor in np.unique(frame.actor[(frame.actor > 0) & inside]):
+            mine = (frame.actor == actor) & inside
+            if mine.sum() < 20:
+                continue
+            kind = frame.kind[mine][0]
+            kind = "large_vehicle" if kind in LARGE else kind
+            ids = found.cluster_id[mine]
+            count = np.bincount(ids[ids >= 0], minlength=1)
+            best = int(count.argmax())
+            total[kind] += 1
+            good[kind] += (
+                bool(len(found)) and count[best] >= 0.5 * mine.sum() and count[best] > 0.5 * found.counts[best]
+            )
+    return {kind: good[kind] / total[kind] for kind in total}
+
+
+def test_objects_of_streets_have_clusters_of_their_own(scene_frame):
+    frames = [scene_frame(kind, seed) for kind in ("open", "level", "facade", "trees") for seed in (4, 5, 0)]
+    ours = _own_cluster_shares(frames, GroundConfig(), ClusteringConfig())
+    assert ours["car"] >= 0.90
+    assert ours["pedestrian"] >= 0.85
+    assert ours["cyclist"] >= 0.93
+    assert ours["large_vehicle"] >= 0.85
+    article = _own_cluster_shares(frames[:6], ARTICLE_GROUND, ARTICLE_CLUSTERING)
+    assert article["car"] < 0.6  # the limit the article's author found
+
+
+def test_people_in_a_row_are_cut_at_the_gap_as_in_the_article():
+    config = ClusteringConfig(split="gap", merge="off", body_height_m=0.0, cell_m=0.5, cell_growth_m=0.0)
+    people = _solid(8, 0, 0.5, 0.5, 0.2, 1.7, n=300), _solid(8, 1.4, 0.5, 0.5, 0.2, 1.7, n=300, seed=1)
+    bridge = _solid(8, 0.7, 0.1, 1.2, 0.9, 1.0, n=12)
+    uncut = msgspec.structs.replace(config, split="off")
+    joined, _ = _cluster(*people, bridge, config=uncut)
+    assert len(joined) == 1
+    found, owner = _cluster(*people, bridge, config=config)
+    assert len(found) == 2
+    assert all(len(c) == 1 for c in _own(found, owner)[:2])
+
+
+def test_a_box_inside_another_joins_it_as_in_the_article():
+    frame = (
+        _solid(10, 0, 4.0, 0.1, 0.2, 1.5),
+        _solid(10, 2.0, 4.0, 0.1, 0.2, 1.5),
+        _solid(8.05, 1.0, 0.1, 2.0, 0.2, 1.5),
+    )
+    inner = _solid(10, 1.0, 0.4, 0.4, 0.4, 1.2, n=60)
+    found, _ = _cluster(*frame, inner, config=ClusteringConfig(merge="engulfed"))
+    assert len(found) == 1
+    apart, _ = _cluster(*frame, inner, config=ClusteringConfig(merge="off"))
+    assert len(apart) == 2
+
+
+def test_feet_are_trimmed_as_in_the_article():
+    person = _solid(8, 0, 0.5, 0.5, 0.16, 1.7, n=200)
+    found, _ = _cluster(person, config=ClusteringConfig(trim_ground=True, merge="off"))
+    assert found.counts.tolist() == [200 - int(0.05 * 200) - 1]
+
+
+def test_an_empty_frame():
+    found, _ = _cluster(np.zeros((0, 3)), np.zeros((0, 3)))
+    assert len(found) == 0
+    assert found.points.shape == (0, 3)

@@ -1,0 +1,81 @@
+"""Connected components of bit rows against scipy's labelling of the same cells."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from services.infra_lidar import kernels_labels as kernels
+
+ONES = np.ones((3, 3), int)
+
+
+def _label(cells, connectivity):
+    """Labels of a boolean grid by the compiled path: every set cell is one point."""
+    side, words = cells.shape[0], (cells.shape[1] + 63) // 64
+    row, column = (a.astype(np.int32) for a in np.nonzero(cells))
+    once, twice = np.zeros((side, words), np.uint64), np.zeros((side, words), np.uint64)
+    kernels.occupy(row, column, once, twice)
+    starts, rank = np.zeros_like(once), np.zeros((side, words), np.int32)
+    parent, first, last = (np.zeros(len(row) + 1, np.int32) for _ in range(3))
+    row_start = np.zeros(side + 1, np.int32)
+    runs = kernels.find_runs(once, starts, rank, parent, first, last, row_start)
+    kernels.join_rows(parent, first, last, row_start, int(connectivity == 8))
+    components = kernels.number_components(parent, runs)
+    label = np.empty(len(row), np.int32)
+    kernels.point_labels(row, column, once, starts, rank, parent, label)
+    return label, components, (row, column), twice
+
+
+def _same_partition(a, b):
+    pairs = set(zip(a.tolist(), b.tolist(), strict=True))
+    return len(pairs) == len(set(a.tolist())) == len(set(b.tolist()))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10_000), width=st.integers(1, 200), density=st.floats(0.02, 0.95),
+    connectivity=st.sampled_from([4, 8]),
+)  # fmt: skip
+def test_the_partition_is_scipys(seed, width, density, connectivity):
+    cells = np.random.default_rng(seed).random((40, width)) < density
+    label, components, (row, column), _ = _label(cells, connectivity)
+    reference, found = ndimage.label(cells, ONES if connectivity == 8 else None)
+    assert components == found
+    assert _same_partition(label, reference[row, column])
+
+
+@pytest.mark.parametrize("first", [0, 60, 62, 63, 64, 126, 127])
+def test_runs_across_words(first):
+    cells = np.zeros((3, 200), bool)
+    cells[1, first : first + 70] = True
+    cells[0, first + 69] = cells[2, first] = True
+    label, components, _, _ = _label(cells, 4)
+    assert components == 1
+    assert set(label) == {0}
+
+
+def test_corners_join_only_with_eight():
+    cells = np.eye(5, 70, dtype=bool)
+    assert _label(cells, 4)[1] == 5
+    assert _label(cells, 8)[1] == 1
+
+
+def test_cells_with_two_points_are_told_apart():
+    row, column = np.array([0, 0, 1], np.int32), np.array([70, 70, 3], np.int32)
+    once, twice = np.zeros((2, 2), np.uint64), np.zeros((2, 2), np.uint64)
+    kernels.occupy(row, column, once, twice)
+    assert twice[0, 1] == np.uint64(1 << 6)
+    assert twice[1, 0] == 0
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.integers(-1, 6), max_size=80))
+def test_grouping_is_a_stable_sort(values):
+    label = np.array(values, np.int32)
+    offsets, order = np.zeros(8, np.int64), np.zeros(len(label), np.int32)
+    kernels.group(label, 7, offsets, order)
+    expected = np.argsort(np.where(label < 0, 99, label), kind="stable")[: int((label >= 0).sum())]
+    assert np.array_equal(order[: offsets[-1]], expected)
+    assert np.array_equal(np.diff(offsets), np.bincount(label[label >= 0], minlength=7))
