@@ -102,6 +102,8 @@ def register_list(waveform: WaveformConfig) -> Registers:
     Raises:
         ConfigError: the chip cannot do that; the text says which key and what is possible.
     """
+    if len(waveform.rx) * waveform.samples % 2:
+        raise ConfigError("[waveform] samples: even for one or three receivers, because two samples share a FIFO word")
     divider = adc_divider(waveform.sample_rate_hz)
     start_delay = round((waveform.sample_delay_s * CLOCK_HZ - 1) / 8)
     registers = dict(_FIXED)

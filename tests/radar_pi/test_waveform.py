@@ -214,10 +214,11 @@ def test_what_the_chip_does_is_near_what_was_asked(
     [
         ({"sample_rate_hz": 1.9e6}, "80 MHz / n; next is 1904761.9"),
         ({"if_gain_db": 24}, "the chip has 18, 23 .. 48 and 30, 35 .. 60"),
+        ({"samples": 127}, "samples: even for one or three receivers"),
         ({"hp_cutoff_hz": 50_000}, "hp_cutoff_hz = 50000: the chip has"),
         ({"chirp_period_s": 1.06e-4}, "chirp_period_s = 0.000106: at least 110.125 us"),
         ({"frame_period_s": 0.01537}, "frame_period_s = 0.01537: at least"),
-        ({"samples": 4095, "chirp_period_s": 4e-3, "frame_period_s": 0.3}, "a ramp lasts at most"),
+        ({"samples": 4094, "chirp_period_s": 4e-3, "frame_period_s": 0.3}, "a ramp lasts at most"),
     ],
 )
 def test_what_the_chip_cannot_do_is_refused_with_the_reason(change: dict[str, float], text: str) -> None:
