@@ -105,6 +105,7 @@ class HealthSection(Section, frozen=True, kw_only=True):
     observed_share: Share = 0.5
     blind_share: Share = 0.2
     dirt_share: Share = 0.25
+    scatter_share: Share = 0.3
     weak_share: Share = 0.4
     sector_share: Share = 0.5
     closed_ring_share: Share = 0.8

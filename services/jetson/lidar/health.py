@@ -73,37 +73,43 @@ def covered_by_something_near(seen: Evidence, config: HealthSection) -> bool:
 class HealthMonitor:
     """Degraded after 15 bad scans (or 1.5 s of them), well again after 3 good ones.
 
-    Bad and good are judged on the summed evidence of those scans, so that rain, which hits other beams each turn, is
-    seen as well as tape, which always covers the same.
+    Bad is judged on the summed evidence of those scans, so that rain, which hits other beams each turn, is seen as
+    well as tape, which always covers the same; the oldest of them has to be bad by itself, so that a heavy fault does
+    not count as a long one. Each of the good scans has to be good by itself.
     """
 
     def __init__(self, config: HealthSection, filters: FilterSection, fov_deg: float) -> None:
         self._config, self._filters, self._fov_deg = config, filters, fov_deg
-        self._history: deque[tuple[int, Evidence]] = deque(maxlen=config.scans)
+        self._history: deque[tuple[int, Evidence]] = deque(maxlen=max(config.scans, config.good_scans))
         self.reason = ""
 
     def update(self, stamp_ns: int, seen: Evidence) -> str:
         """Why the sensor cannot see, "" when it can."""
         self._history.append((stamp_ns, seen))
-        if self.reason and len(self._history) >= self._config.good_scans:
-            recent = list(self._history)[-self._config.good_scans :]
-            if not self._diagnose([one for _, one in recent]):
-                self.reason = ""
-                self._history.clear()
-                return ""
-        if self._long_enough(stamp_ns):
-            self.reason = self._diagnose([one for _, one in self._history]) or self.reason
+        if self.reason and self._healed():
+            self.reason = ""
+            self._history.clear()
+        window = self._window(stamp_ns)
+        if window and self._diagnose(window[:1]):
+            self.reason = self._diagnose(window) or self.reason
         return self.reason
 
-    def _long_enough(self, stamp_ns: int) -> bool:
-        full = len(self._history) == self._config.scans
-        began_ns = self._history[0][0]
-        return full or (len(self._history) >= 3 and stamp_ns - began_ns >= self._config.seconds * 1e9)
+    def _healed(self) -> bool:
+        recent = [seen for _, seen in self._history][-self._config.good_scans :]
+        return len(recent) == self._config.good_scans and not any(self._diagnose([one]) for one in recent)
+
+    def _window(self, now_ns: int) -> list[Evidence]:
+        """The newest 15 scans, or fewer (but three) that took 1.5 s; empty when there are not enough."""
+        chosen: list[Evidence] = []
+        for stamp_ns, seen in reversed(self._history):
+            chosen.insert(0, seen)
+            long_enough = len(chosen) >= 3 and now_ns - stamp_ns >= self._config.seconds * 1e9
+            if len(chosen) == self._config.scans or long_enough:
+                return chosen
+        return []
 
     def _diagnose(self, scans: list[Evidence]) -> str:
-        total = scans[0]
-        for one in scans[1:]:
-            total += one
+        total = sum(scans[1:], scans[0])
         return total.motor or diagnose(total, len(scans), self._config, self._filters, self._fov_deg)
 
 
@@ -189,7 +195,7 @@ def _dirty(cone: np.ndarray, measured: int, scans: int, config: HealthSection, f
             f"rain or dirt near the lens: {_share(near, measured)} of the forward beams end nearer than "
             f"{filters.min_range_m:.2f} m ({scans} scans)"
         )
-    if scattered >= config.dirt_share * measured and scattered >= cone[Fate.USED]:
+    if scattered >= config.scatter_share * measured:
         return f"rain or dust: {_share(scattered, measured)} of the forward returns stand alone ({scans} scans)"
     if weak >= config.weak_share * measured:
         return f"low confidence: {_share(weak, measured)} of the forward returns are weak ({scans} scans)"

@@ -1,0 +1,99 @@
+"""Which returns are believed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from common.messages import LaserScan
+from services.jetson.lidar.config import FilterSection, MountingSection
+from services.jetson.lidar.filters import Fate, judge, returns_of
+
+Scan = Callable[..., LaserScan]
+
+
+def fates(scan: LaserScan, mounting: MountingSection | None = None, **filters: float) -> np.ndarray:
+    """The fate of each beam in the scan's own order."""
+    mounting = mounting or MountingSection()
+    returns = returns_of(scan, mounting)
+    fate = judge(returns, FilterSection(**filters), mounting)  # type: ignore[arg-type]
+    result = np.empty_like(fate)
+    result[returns.order] = fate
+    return result
+
+
+def change(scan: LaserScan, beams: slice | list[int], range_m: float, confidence: int = 200) -> LaserScan:
+    scan.ranges_m[beams], scan.confidence[beams] = range_m, confidence
+    return scan
+
+
+@pytest.mark.parametrize(
+    ("range_m", "confidence", "fate"),
+    [
+        (0.0, 0, Fate.NO_ECHO),
+        (0.0, 99, Fate.NO_ECHO),
+        (0.0, 100, Fate.ECHO_ONLY),
+        (float("nan"), 0, Fate.NO_ECHO),
+        (float("inf"), 0, Fate.NO_ECHO),
+        (0.199, 200, Fate.NEAR),
+        (0.2, 200, Fate.USED),
+        (12.0, 200, Fate.USED),
+        (12.01, 200, Fate.FAR),
+        (2.0, 14, Fate.WEAK),
+        (2.0, 15, Fate.USED),
+    ],
+)
+def test_each_fate(scan_of: Scan, range_m: float, confidence: int, fate: Fate) -> None:
+    front = slice(215, 235)
+    assert set(fates(change(scan_of([], 3.0), front, range_m, confidence))[front]) == {int(fate)}
+
+
+def test_the_geometric_check_finds_what_the_floor_lets_through(scan_of: Scan) -> None:
+    """A mast 0.25 m behind the sensor is beyond the 0.20 m floor and stands on the vehicle."""
+    mast = slice(0, 6)  # straight behind
+    assert set(fates(change(scan_of([], 3.0), mast, 0.25))[mast]) == {int(Fate.BODY)}
+    assert set(fates(change(scan_of([], 3.0), mast, 0.40))[mast]) == {int(Fate.USED)}
+    # A sensor set back by 0.3 m looks over a bonnet, which is in the forward cone
+    bonnet = slice(220, 230)
+    set_back = MountingSection(front_m=0.30)
+    assert set(fates(change(scan_of([], 3.0), bonnet, 0.28), set_back)[bonnet]) == {int(Fate.BODY)}
+    assert set(fates(change(scan_of([], 3.0), bonnet, 0.34), set_back)[bonnet]) == {int(Fate.USED)}
+
+
+@pytest.mark.parametrize(
+    ("beams", "confidence", "believed"),
+    [([225], 255, False), ([225, 226], 200, False), ([225, 226], 220, True), ([225, 226, 227], 30, True)],
+)
+def test_isolated_returns(scan_of: Scan, beams: list[int], confidence: int, believed: bool) -> None:
+    fate = fates(change(scan_of([], 3.0), beams, 0.6, confidence))
+    assert set(fate[beams]) == {int(Fate.USED if believed else Fate.ISOLATED)}
+    assert np.count_nonzero(fate == Fate.USED) == 450 - (0 if believed else len(beams))
+
+
+def test_ghosts_in_front_of_a_wall_do_not_spoil_the_wall(scan_of: Scan) -> None:
+    scan = scan_of([], 2.0)
+    ghosts = list(range(200, 250, 3))
+    for number, beam in enumerate(ghosts):
+        change(scan, [beam], 0.5 + 0.3 * (number % 3), 60)
+    fate = fates(scan)
+    assert set(fate[ghosts]) == {int(Fate.ISOLATED)}
+    assert np.count_nonzero(fate == Fate.USED) == 450 - len(ghosts)
+
+
+def test_order_of_the_beams_does_not_matter(scan_of: Scan) -> None:
+    scan = change(scan_of([(0.5, -0.1, 0.1)], 3.0), [100], 1.0)
+    shuffle = np.random.default_rng(1).permutation(450)
+    shuffled = LaserScan(
+        stamp_ns=0,
+        angles_rad=scan.angles_rad[shuffle],
+        ranges_m=scan.ranges_m[shuffle],
+        confidence=scan.confidence[shuffle],
+    )
+    np.testing.assert_array_equal(fates(shuffled), fates(scan)[shuffle])
+
+
+def test_no_beams_at_all() -> None:
+    empty = np.empty(0, np.float32)
+    assert len(fates(LaserScan(stamp_ns=0, angles_rad=empty, ranges_m=empty, confidence=empty.astype("u1")))) == 0
