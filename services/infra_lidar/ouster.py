@@ -64,8 +64,8 @@ class OusterFormat:
             self.columns_per_frame = int(layout["columns_per_frame"])
             self.columns_per_packet = int(layout["columns_per_packet"])
             self.beams = int(layout["pixels_per_column"])
-            altitude = np.radians(np.array(flat["beam_altitude_angles"], float))
-            azimuth = -np.radians(np.array(flat["beam_azimuth_angles"], float))
+            altitude = np.radians(np.array(flat["beam_altitude_angles"], float).reshape(-1))
+            azimuth = -np.radians(np.array(flat["beam_azimuth_angles"], float).reshape(-1))
             beam_origin_m = float(flat.get("lidar_origin_to_beam_origin_mm", 0.0)) / 1000.0
             to_sensor = np.reshape(np.array(flat["lidar_to_sensor_transform"], float), (4, 4))
         except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import io
 import struct
+import zipfile
+import zlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,7 +45,7 @@ def parse_frame(name: str, data: bytes) -> FileFrame:
         return FileFrame(parse_bin(data), _stamp_in_name(name))
     except FrameError as error:
         raise FrameError(f"{name}: {error}") from None
-    except (ValueError, KeyError, OSError, struct.error, EOFError) as error:
+    except (ValueError, LookupError, OSError, EOFError, struct.error, zipfile.BadZipFile, zlib.error) as error:
         raise FrameError(f"{name}: {error}") from error
 
 
@@ -68,6 +70,8 @@ def parse_bin(data: bytes) -> np.ndarray:
 
 def parse_npz(data: bytes) -> FileFrame:
     """``xyz`` (..., 3) and optionally ``intensity ring stamp range_mm reflectivity``; or ``xyz_cm`` int16."""
+    if data[:2] != b"PK":
+        raise FrameError("not an .npz file")
     with np.load(io.BytesIO(data), allow_pickle=False) as file:
         if "xyz" in file:
             xyz = np.asarray(file["xyz"], np.float32)

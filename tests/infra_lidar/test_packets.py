@@ -1,0 +1,278 @@
+"""Velodyne and Ouster packets, captures and bags: built here byte by byte, and recordings against their decoded form."""
+
+import json
+import sqlite3
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.infra_lidar.captures import CaptureError, read_pcap, read_velodyne_scan
+from services.infra_lidar.ouster import MetadataError, OusterFormat, OusterParser
+from services.infra_lidar.velodyne import PACKET_BYTES, RING, Vls128Parser
+
+
+def _vls_packet(azimuth_deg, steps=2500, time_us=0, mode=0x37, product=0xA1, flags=(0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF)):
+    """Three firing sequences of all lasers at the same distance, the head 0.2 degrees on each time."""
+    blocks = b""
+    for block in range(12):
+        azimuth = round((azimuth_deg + 0.2 * (block // 4)) * 100) % 36000
+        blocks += struct.pack("<HH", flags[block % 4], azimuth) + struct.pack("<HB", steps, 77) * 32
+    return blocks + struct.pack("<IBB", time_us, mode, product)
+
+
+def _turn(parser, first_deg=0.0, **how):
+    """Feed a whole turn; the revolutions that came out."""
+    done = [parser.feed(_vls_packet((first_deg + 0.6 * k) % 360, time_us=166 * k, **how), k) for k in range(610)]
+    return [revolution for revolution in done if revolution is not None]
+
+
+def test_a_vls128_turn_in_numbers():
+    (turn,) = _turn(Vls128Parser())
+    assert turn.points.shape == (600 * 384, 5)
+    assert turn.quality.complete
+    assert turn.quality.packets_lost == 0
+    assert np.allclose(np.linalg.norm(turn.points[:, :3], axis=1), 10.0, atol=0.02)
+    assert set(turn.points[:, 4].astype(int)) == set(range(128))
+    assert (turn.points[:, 3] == 77).all()
+    # laser 36 looks down 25 degrees, laser 59 up 15 (user manual, table of vertical angles)
+    first = turn.points[:128]
+    elevation = np.degrees(np.arctan2(first[:, 2], np.hypot(first[:, 0], first[:, 1])))
+    assert elevation[36] == pytest.approx(-25.0, abs=0.2)
+    assert elevation[59] == pytest.approx(15.0, abs=0.2)
+    assert RING[36] == 0
+    assert RING[59] == 127
+    # laser 0 looks 6.354 degrees to one side of the head, which turns clockwise from x
+    assert np.degrees(np.arctan2(-first[0, 1], first[0, 0])) == pytest.approx(6.354, abs=0.01)
+
+
+def test_lost_packets_and_partial_turns_are_counted():
+    parser = Vls128Parser()
+    turns = []
+    for k in range(1, 620):
+        if 100 <= k < 130:  # 30 packets, 18 degrees
+            continue
+        done = parser.feed(_vls_packet((0.6 * k) % 360, time_us=166 * k), k)
+        turns += [done] if done is not None else []
+    assert turns[0].quality.packets_lost == 30
+    assert not turns[0].quality.complete
+    assert parser.turns.incomplete == 1
+
+
+@pytest.mark.parametrize(
+    "packet",
+    [b"", bytes(PACKET_BYTES), _vls_packet(0)[:-1], _vls_packet(0, product=0x22), _vls_packet(0)[:2] + b"\xff" * 1204],
+)
+def test_other_packets_are_rejected(packet):
+    parser = Vls128Parser()
+    assert parser.feed(packet, 0) is None
+    assert parser.rejected == 1
+
+
+def test_no_returns_and_unknown_banks_give_no_points():
+    assert len(_turn(Vls128Parser(), steps=0)[0].points) == 0
+    (turn,) = _turn(Vls128Parser(), flags=(0xEEFF, 0x1234, 0xCCFF, 0x4321))
+    assert len(turn.points) == 600 * 192
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.binary(min_size=PACKET_BYTES, max_size=PACKET_BYTES), max_size=5), st.booleans())
+def test_garbage_never_stops_the_parser(packets, signed):
+    parser = Vls128Parser()
+    for packet in packets:
+        parser.feed(packet[:-1] + b"\xa1" if signed else packet, 0)
+    _turn(parser)
+
+
+def _metadata(profile="RNG19_RFL8_SIG16_NIR16", columns=64, beams=4, **change):
+    document = {
+        "beam_altitude_angles": [20.0, 0.0, -10.0, -20.0], "beam_azimuth_angles": [0.0, 0.0, 0.0, 0.0],
+        "lidar_origin_to_beam_origin_mm": 0.0, "lidar_to_sensor_transform": np.eye(4).ravel().tolist(),
+        "data_format": {
+            "columns_per_frame": columns, "columns_per_packet": 16, "pixels_per_column": beams,
+            "udp_profile_lidar": profile,
+        },
+    }  # fmt: skip
+    return json.dumps(document | change)
+
+
+def _ouster_packet(layout, frame_id, first_column, range_mm=8000, valid=1):
+    p = layout.profile
+    head = struct.pack("<HH", 1, frame_id).ljust(p.packet_header, b"\0") if p.packet_header else b""
+    body = b""
+    for column in range(first_column, first_column + 16):
+        if layout.profile_name == "LEGACY":
+            body += struct.pack("<QHHI", 0, column, frame_id, 0)
+        else:
+            body += struct.pack("<QHH", 0, column, valid)
+        step = range_mm // p.range_step_mm
+        pixel = struct.pack("<H" if p.range_type == "<u2" else "<I", step).ljust(p.reflectivity_at, b"\0") + b"\x32"
+        body += pixel.ljust(p.pixel, b"\0") * layout.beams
+        if layout.profile_name == "LEGACY":
+            body += struct.pack("<I", 0xFFFFFFFF if valid else 0)
+    return head + body + bytes(p.packet_footer)
+
+
+@pytest.mark.parametrize(
+    "profile", ["LEGACY", "RNG19_RFL8_SIG16_NIR16", "RNG19_RFL8_SIG16_NIR16_DUAL", "RNG15_RFL8_NIR8"]
+)
+def test_an_ouster_turn_in_numbers(profile):
+    layout = OusterFormat(_metadata(profile))
+    parser = OusterParser(layout)
+    done = [parser.feed(_ouster_packet(layout, 7, c), c) for c in range(0, 64, 16)]
+    turn = parser.feed(_ouster_packet(layout, 8, 0), 99)
+    assert not any(done)
+    assert turn.points.shape == (64 * 4, 5)
+    assert turn.quality.complete
+    assert turn.stamp_ns == 48
+    ahead = turn.points[:4]  # column 0 looks along x
+    assert np.allclose(ahead[1], [8.0, 0.0, 0.0, ahead[1, 3], 2.0], atol=1e-3)
+    assert np.allclose(ahead[0, :3], [8 * np.cos(np.radians(20)), 0, 8 * np.sin(np.radians(20))], atol=1e-3)
+    quarter = turn.points[4 * 16 + 1]  # the head turns clockwise: after a quarter it looks to the right
+    assert np.allclose(quarter[:3], [0.0, -8.0, 0.0], atol=1e-3)
+
+
+def test_ouster_losses_invalid_columns_and_strangers():
+    layout = OusterFormat(_metadata())
+    parser = OusterParser(layout)
+    parser.feed(_ouster_packet(layout, 1, 0), 0)
+    parser.feed(_ouster_packet(layout, 1, 48, valid=0), 0)
+    parser.feed(b"another service", 0)
+    turn = parser.feed(_ouster_packet(layout, 2, 0), 0)
+    assert turn.quality.packets_lost == 2
+    assert not turn.quality.complete
+    assert len(turn.points) == 16 * 4
+    assert parser.rejected == 1
+    assert len(parser.flush().points) == 16 * 4
+    assert parser.flush() is None
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", _metadata("SMOKE"), _metadata(beams=5), _metadata(beam_altitude_angles=None)]
+)
+def test_metadata_that_lack_something_are_refused(text):
+    with pytest.raises(MetadataError):
+        OusterFormat(text)
+
+
+def test_nested_metadata_of_newer_firmware():
+    flat = json.loads(_metadata())
+    nested = {
+        "beam_intrinsics": {k: flat[k] for k in ("beam_altitude_angles", "beam_azimuth_angles")},
+        "lidar_intrinsics": {"lidar_to_sensor_transform": flat["lidar_to_sensor_transform"]},
+        "lidar_data_format": flat["data_format"],
+    }
+    assert OusterFormat(json.dumps(nested)).packet_bytes == OusterFormat(_metadata()).packet_bytes
+
+
+def _ip(payload, port=2368, identity=1, offset=0, more=False):
+    udp = struct.pack(">HHHH", 1, port, len(payload) + 8, 0) + payload if offset == 0 else payload
+    flags = (0x2000 if more else 0) | offset // 8
+    head = struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + len(udp), identity, flags, 64, 17, 0, b"\x01" * 4, b"\x02" * 4)
+    return bytes(12) + b"\x08\x00" + head + udp
+
+
+def _pcap(*records, magic=b"\xd4\xc3\xb2\xa1", link=1):
+    data = magic + struct.pack("<HHIIII", 2, 4, 0, 0, 65535, link)
+    for k, record in enumerate(records):
+        data += struct.pack("<IIII", 100 + k, 5, len(record), len(record)) + record
+    return data
+
+
+def test_a_capture_gives_payloads_ports_and_times():
+    got = list(read_pcap(_pcap(_ip(b"first"), _ip(b"second", port=7502))))
+    assert [(d.payload, d.port) for d in got] == [(b"first", 2368), (b"second", 7502)]
+    assert got[0].stamp_ns == 100_000_005_000
+    assert next(read_pcap(_pcap(_ip(b"x"), magic=b"\x4d\x3c\xb2\xa1"))).stamp_ns == 100_000_000_005
+
+
+def test_fragments_are_put_together_in_any_order():
+    whole = bytes(range(256)) * 8
+    udp = struct.pack(">HHHH", 1, 7502, len(whole) + 8, 0) + whole
+    parts = [
+        _ip(whole[: 1000 - 8], more=True),
+        _ip(udp[1000:1800], offset=1000, more=True),
+        _ip(udp[1800:], offset=1800),
+    ]
+    parts[0] = parts[0][:14] + parts[0][14:34] + udp[:1000]
+    for order in ([0, 1, 2], [2, 0, 1]):
+        got = list(read_pcap(_pcap(*[parts[k] for k in order])))
+        assert [d.payload for d in got] == [whole]
+
+
+@pytest.mark.parametrize("data", [b"", b"\x0a\x0d\x0d\x0a" + bytes(40), _pcap(link=147), bytes(100)])
+def test_other_files_are_no_captures(data):
+    with pytest.raises(CaptureError):
+        list(read_pcap(data))
+
+
+@settings(max_examples=60, deadline=None)
+@given(cut=st.integers(0, 200), noise=st.binary(max_size=40))
+def test_damaged_captures_end_or_are_refused(cut, noise):
+    data = _pcap(_ip(b"first"), noise, _ip(b"second"))
+    try:
+        assert len(list(read_pcap(data[:cut]))) <= 3
+    except CaptureError:
+        assert cut < 24
+
+
+def _scan_message(packets):
+    name = b"velodyne\0"
+    head = b"\x00\x01\x00\x00" + struct.pack("<iII", 1, 2, len(name)) + name
+    head = head.ljust((len(head) + 3) // 4 * 4, b"\0") + struct.pack("<I", len(packets))
+    return head + b"".join(struct.pack("<iI", 3, k) + packet + b"\0\0" for k, packet in enumerate(packets))
+
+
+def test_a_ros_message_gives_its_packets():
+    packets = [_vls_packet(0.0), _vls_packet(0.6)]
+    got = read_velodyne_scan(_scan_message(packets)[:-2])  # the last padding is not there
+    assert got == [(3_000_000_000, packets[0]), (3_000_000_001, packets[1])]
+
+
+@pytest.mark.parametrize("message", [b"", b"\x00\x00" + bytes(40), _scan_message([_vls_packet(0.0)])[:500]])
+def test_damaged_ros_messages_are_refused(message):
+    with pytest.raises(CaptureError):
+        read_velodyne_scan(message)
+
+
+def test_the_recorded_vls128_packets_decode_to_the_recorded_points(recording):
+    folder = recording("lidar128-velodyne-vls128")
+    database = sqlite3.connect(f"file:{folder / 'vls128_packets.db3'}?mode=ro&immutable=1", uri=True)
+    packets = [
+        p
+        for (data,) in database.execute("SELECT data FROM messages ORDER BY timestamp")
+        for p in read_velodyne_scan(data)
+    ]
+    database.close()
+    parser = Vls128Parser(cut_deg=131.79)  # where the decoder that made scan_*.npz began
+    turns = [turn for stamp_ns, packet in packets if (turn := parser.feed(packet, stamp_ns)) is not None]
+    assert parser.rejected == parser.turns.lost == parser.turns.incomplete == 0
+    ours = np.concatenate([turn.points for turn in turns])
+    ours = ours[np.linalg.norm(ours[:, :3].astype(float), axis=1) < 200.0005]  # the other one drops what is farther
+    scans = [np.load(folder / f"scan_{k}.npz") for k in range(3)]
+    xyz, ring = (np.concatenate([scan[name] for scan in scans]) for name in ("xyz", "ring"))
+    n = min(len(ours), len(xyz))
+    assert n > 620_000
+    assert np.array_equal(ours[:n, 4], ring[:n])
+    apart = np.linalg.norm(ours[:n, :3] - xyz[:n], axis=1)
+    assert np.median(apart) < 0.005
+    assert (apart < 0.05).mean() > 0.999
+
+
+def test_the_recorded_ouster_packets_decode_to_the_recorded_points(recording):
+    folder = recording("lidar128-ouster-os2")
+    layout = OusterFormat((folder / "OS-2-128.json").read_text())
+    parser = OusterParser(layout)
+    for datagram in read_pcap((folder / "OS-2-128.pcap").read_bytes()):
+        assert parser.feed(datagram.payload, datagram.stamp_ns) is None  # one revolution, closed by flush
+    turn = parser.flush()
+    with np.load(folder / "os2_128_0.npz") as file:
+        mask = file["range_mm"] > 0
+        beam, column = np.nonzero(mask)
+        order = np.lexsort((beam, column))
+        assert np.abs(turn.points[:, :3] - file["xyz"][mask][order]).max() < 1e-3
+        assert np.array_equal(turn.points[:, 3], np.minimum(file["reflectivity"][mask][order], 255))
+        assert np.array_equal(turn.points[:, 4], 127 - beam[order])
+    assert turn.quality.complete
