@@ -41,7 +41,7 @@ class RadarPipeline:
         self.cfar = build_cfar(config.cfar, axes.far_bin - axes.near_bin, config.waveform.chirps, len(receivers))
         self.row_noise = RowNoise(config.waveform.chirps, len(receivers))
         self.azimuth = PairAzimuth(config.azimuth, receivers, axes.wavelength_m)
-        self.tracker = Tracker(config.tracking, config.detection, axes.v_max_mps)
+        self.tracker = Tracker(config.tracking, config.detection, axes.v_max_mps, axes.range_lead_s)
         self.health = HealthMonitor(config.health)
         self._shape = (len(receivers), config.waveform.chirps, config.waveform.samples)
         self._stamp_ns: int | None = None

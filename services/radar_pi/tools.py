@@ -12,7 +12,8 @@ from typing import Annotated, Any
 
 import typer
 
-from common.launch import ConfigOption, SetOption, SourceOption, load_config, run_until_stopped, setup_logging
+from common.config import ConfigError
+from common.launch import ConfigOption, SetOption, SourceOption, load_config, setup_logging
 from common.status import Report
 from services.radar_pi.config import RadarConfig
 from services.radar_pi.pipeline import RadarPipeline
@@ -48,10 +49,14 @@ def add_tools(app: typer.Typer) -> None:
             return
         setup_logging("radar")
         effective = load_config(RadarConfig, config, overrides, source)
-        if record is not None:
-            run_until_stopped(lambda: record_frames(effective, record, frames))
-        if plot is not None:
-            run_until_stopped(lambda: plot_frames(effective, plot, frames))
+        try:
+            if record is not None:
+                record_frames(effective, record, frames)
+            if plot is not None:
+                plot_frames(effective, plot, frames)
+        except ConfigError as error:
+            typer.echo(f"spotter: {error}", err=True)
+            raise typer.Exit(2) from None
 
 
 def plot_frames(config: RadarConfig, path: Path, frames: int) -> None:

@@ -56,10 +56,13 @@ class Track:
 class Tracker:
     """All tracks of one radar. ``update`` is called once per frame, with no detections too."""
 
-    def __init__(self, config: TrackingConfig, body: DetectionConfig, v_max_mps: float) -> None:
+    def __init__(
+        self, config: TrackingConfig, body: DetectionConfig, v_max_mps: float, range_lead_s: float = 0.0
+    ) -> None:
         self._config = config
         self._body = body
         self._v_max_mps = v_max_mps
+        self._range_lead_s = range_lead_s  # a detection's range was corrected for its velocity times this
         self._noise = np.diag([config.sigma_range_m**2, config.sigma_velocity_mps**2, config.sigma_azimuth_rad**2])
         self._next_id = 1
         self._stamp_ns: int | None = None
@@ -116,7 +119,7 @@ class Tracker:
         """The measurement with its velocity unfolded to the nearest alias of the track's, and its covariance."""
         span = 2 * self._v_max_mps
         folds = round((track.velocity_mps - detection.velocity_mps) / span)
-        values = [detection.range_m, detection.velocity_mps + folds * span]
+        values = list(self._unfolded(detection, folds))
         if detection.azimuth_rad is not None:
             values.append(detection.azimuth_rad)
         n = len(values)
@@ -163,18 +166,22 @@ class Tracker:
             covariance = self._noise.copy()
             if azimuth is None:
                 covariance[AZIMUTH, AZIMUTH] = _UNKNOWN_AZIMUTH_VARIANCE
-            for velocity_mps in self._aliases(detection.velocity_mps):
-                state = np.array([detection.range_m, velocity_mps, azimuth or 0.0])
+            for range_m, velocity_mps in self._aliases(detection):
+                state = np.array([range_m, velocity_mps, azimuth or 0.0])
                 track = Track(state, covariance.copy(), detection.snr_db, has_azimuth=azimuth is not None)
                 self._judge(track, stamp_ns)
                 self.tracks.append(track)
 
-    def _aliases(self, velocity_mps: float) -> list[float]:
-        """Every speed that shows up as this one: a hypothesis each. The next frame's range decides."""
-        span = 2 * self._v_max_mps
-        reach = int((self._config.max_speed_mps + self._v_max_mps) / span)
-        speeds = [velocity_mps + fold * span for fold in range(-reach, reach + 1)]
-        return [v for v in speeds if v == velocity_mps or abs(v) <= self._config.max_speed_mps]
+    def _aliases(self, detection: Detection) -> list[tuple[float, float]]:
+        """(range, velocity) for every speed that shows up as this one: a hypothesis each. The next range decides."""
+        reach = int((self._config.max_speed_mps + self._v_max_mps) / (2 * self._v_max_mps))
+        every = {fold: self._unfolded(detection, fold) for fold in range(-reach, reach + 1)}
+        return [pair for fold, pair in every.items() if fold == 0 or abs(pair[1]) <= self._config.max_speed_mps]
+
+    def _unfolded(self, detection: Detection, folds: int) -> tuple[float, float]:
+        """(range, velocity) of a detection whose speed has gone round so many times."""
+        extra_mps = folds * 2 * self._v_max_mps
+        return detection.range_m - extra_mps * self._range_lead_s, detection.velocity_mps + extra_mps
 
     def _same_body(self, track: Track, detection: Detection) -> bool:
         turned_rad = 0.0

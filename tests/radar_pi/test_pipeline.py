@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import msgspec
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from hypothesis import strategies as st
 
 from benchmarks.radar_accuracy import Truth, accuracy, approach, settled_pipeline, tracks_on_noise
 from common.codec import decode, encode
+from common.config import load
 from common.messages import RadarDetections, RadarTracks
 from common.sim import bgt60
 from common.sim.bgt60 import LEAKAGE, Target, simulate
@@ -17,6 +20,7 @@ from common.sim.crossing import yard_and_street
 from common.sim.model import Player, Scenario
 from common.sim.motion import Errand, Ride, line
 from common.topics import RADAR_DETECTIONS, RADAR_TRACKS
+from services.radar_pi import pipeline as pipeline_module
 from services.radar_pi.config import CfarConfig, ProcessingConfig, RadarConfig
 from services.radar_pi.pipeline import RadarPipeline
 from services.radar_pi.source import simulator_waveform
@@ -90,6 +94,19 @@ def test_a_point_keeps_one_id_from_first_report_to_0_3_m(speed_mps: float) -> No
     assert first <= 3
     assert reported[first:] == [[1]] * (frames - first)
     assert messages[-1].tracks[0].range_m == pytest.approx(0.3, abs=0.06)
+
+
+@pytest.mark.parametrize("speed_mps", [0.8, 1.4, 2.4])
+def test_the_bench_configuration_tells_a_walker_from_its_alias(speed_mps: float) -> None:
+    """+-1.27 m/s unambiguous: faster bodies show up as slower, receding ones; their range gives them away."""
+    bench = load(RadarConfig, Path(pipeline_module.__file__).parent / "config_3rx_5m.toml")
+    pipeline, start_ns = settled_pipeline(bench)
+    messages = approach(pipeline, start_ns, Truth(0.8, -speed_mps, 0.1, 35.0), 12, seed=8)
+    assert [track.track_id for track in messages[-1].tracks] == [1]
+    track = messages[-1].tracks[0]
+    assert track.velocity_mps == pytest.approx(-speed_mps, abs=0.05)
+    assert track.range_m == pytest.approx(0.8, abs=0.05)
+    assert track.level == "IMMINENT"
 
 
 def test_time_to_collision_counts_down_and_levels_rise() -> None:
