@@ -1,0 +1,62 @@
+"""--plot and --record: a picture with something in it, and a recording that plays again."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from common.sim.bgt60 import LEAKAGE, Target, simulate
+from services.radar_pi.__main__ import app
+from services.radar_pi.config import WaveformConfig
+from services.radar_pi.recording import Recorder, open_recording
+from services.radar_pi.source import simulator_waveform
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    path, waveform = tmp_path / "walk.radar", WaveformConfig()
+    with Recorder(path, waveform) as recorder:
+        for i in range(24):
+            scene = [*LEAKAGE, Target(4.0 - 0.14 * i, -1.4, 0.2)]
+            recorder.write(i * 100_000_000, 0, simulate(scene, simulator_waveform(waveform), seed=i))
+    return path
+
+
+def png_size(path: Path) -> tuple[int, int]:
+    data = path.read_bytes()
+    assert data.startswith(b"\x89PNG\r\n\x1a\n")
+    return struct.unpack(">II", data[16:24])  # type: ignore[return-value]
+
+
+def test_plot_draws_a_picture(recording: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    result = CliRunner().invoke(app, ["--source", f"file:{recording}?rate=0", "--plot", str(tmp_path / "out.png")])
+    assert result.exit_code == 0, result.output
+    width, height = png_size(tmp_path / "out.png")
+    assert width > 800
+    assert height > 400
+
+
+def test_record_writes_what_the_source_gave(recording: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.radar"
+    arguments = ["--source", f"file:{recording}?rate=0", "--record", str(copy), "--frames", "7"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert np.array_equal(open_recording(copy).frames, open_recording(recording).frames[:7])
+
+
+def test_a_wrong_recording_ends_with_code_two_and_the_reason(tmp_path: Path) -> None:
+    (tmp_path / "x.radar").write_bytes(b"not a recording")
+    result = CliRunner().invoke(app, ["--source", f"file:{tmp_path / 'x.radar'}", "--plot", str(tmp_path / "o.png")])
+    assert result.exit_code == 2
+    assert "SPOTRADR" in result.output
+
+
+def test_show_config_still_works() -> None:
+    result = CliRunner().invoke(app, ["--show-config", "--set", "cfar.kind=os"])
+    assert result.exit_code == 0
+    assert '"kind": "os"' in result.output
