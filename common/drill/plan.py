@@ -1,0 +1,115 @@
+"""What a drill file may say: faults, what health and verdict have to be then, and within which time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from common.config import ConfigError, Section, load
+from common.messages import Level, SensorState, SystemHealth, Verdict
+from common.topics import SERVICES
+
+DEFAULT_FILE = Path(__file__).parent / "drills.toml"
+
+Seconds = Annotated[float, Meta(ge=0.0, le=120.0)]
+SignalKind = Literal["kill", "freeze"]
+RelayKind = Literal[
+    "delay", "duplicate", "reorder", "stuck", "garbage", "wrong_types", "nan", "million", "future", "past", "jump",
+    "foreign_host",
+]  # fmt: skip
+Kind = Literal[SignalKind, RelayKind, "cut", "clock", "sim"]
+
+SIGNALS: frozenset[str] = frozenset({"kill", "freeze"})
+RELAYED: frozenset[str] = frozenset({
+    "delay", "duplicate", "reorder", "stuck", "garbage", "wrong_types", "nan", "million", "future", "past", "jump",
+    "foreign_host",
+})  # fmt: skip
+
+
+class Fault(Section, frozen=True, kw_only=True):
+    """One thing that is broken.
+
+    ``kill``, ``freeze``: SIGKILL, SIGSTOP. ``cut``: the link between service and router carries nothing any more.
+    ``clock``: the process restarts with its clock off by ``seconds``. ``sim``: the simulated world's own fault at
+    scenario time ``at_s``. All others: a stand-in takes the service's place and spoils what it publishes.
+    """
+
+    kind: Kind
+    service: str
+    seconds: Annotated[float, Meta(ge=-3600.0, le=3600.0)] = 0.0  # delay, clock offset, stamp offset
+    at_s: Seconds = 0.0  # sim: when the fault begins in the scenario
+
+
+class Expected(Section, frozen=True, kw_only=True):
+    """What has to be so; whatever is left out does not matter. The verdict has to name the same states as health."""
+
+    health: dict[str, SensorState] = msgspec.field(default_factory=dict)
+    cause: dict[str, str] = msgspec.field(default_factory=dict)
+    colour: tuple[str, ...] = ()
+    note: str = ""  # a text that one of health's notes contains
+    level: tuple[Level, ...] = ()
+    rule: tuple[str, ...] = ()
+    permission: tuple[str, ...] = ()
+    blind: bool | None = None
+    unused: tuple[str, ...] = ()  # sensors that the verdict has to say it did not use
+    silent: bool = False  # no verdict comes any more: older than its age limit, so everybody has to stop
+
+    def health_fits(self, told: SystemHealth) -> bool:
+        states = all(name in told.sensors and told.sensors[name].state == want for name, want in self.health.items())
+        causes = all(name in told.sensors and told.sensors[name].cause == want for name, want in self.cause.items())
+        noted = not self.note or any(self.note in note for note in told.notes)
+        return states and causes and noted and (not self.colour or told.colour in self.colour)
+
+    def verdict_fits(self, verdict: Verdict) -> bool:
+        wanted = ((self.level, verdict.level), (self.rule, verdict.rule), (self.permission, verdict.permission))
+        plain = all(not allowed or got in allowed for allowed, got in wanted)
+        unused = all(name in verdict.inputs and not verdict.inputs[name].used for name in self.unused)
+        states = all(verdict.inputs[name].state == want for name, want in self.health.items() if name in verdict.inputs)
+        return plain and unused and states and self.blind in (None, verdict.blind)
+
+    @property
+    def about_health(self) -> bool:
+        return bool(self.health or self.cause or self.colour or self.note)
+
+
+class Drill(Section, frozen=True, kw_only=True):
+    name: str
+    faults: Annotated[tuple[Fault, ...], Meta(min_length=1)]
+    expect: Expected
+    health_within_s: Seconds
+    verdict_within_s: Seconds
+    recovery_within_s: Seconds = 15.0
+    allowed: tuple[Level, ...] = ("SAFE", "CAUTION", "IMMINENT")  # levels that may be seen while the fault lasts
+
+
+class DrillPlan(Section, frozen=True, kw_only=True):
+    scenario: str = "empty"  # what the simulated sensors look at between the faults
+    before: Expected = Expected()  # what has to hold before each drill and again after it
+    ready_within_s: Seconds = 60.0
+    drills: Annotated[tuple[Drill, ...], Meta(min_length=1)] = msgspec.field(default_factory=tuple)
+
+
+def load_plan(path: Path, only: str = "") -> DrillPlan:
+    """Read a drill file; ``only`` keeps the drills whose name contains it.
+
+    Raises:
+        ConfigError: wrong key or value, an unknown service, or no drill left.
+    """
+    plan = load(DrillPlan, path)
+    known = {row.name for row in SERVICES}
+    for drill in plan.drills:
+        for fault in drill.faults:
+            if fault.service not in known:
+                raise ConfigError(f"{path}: drill {drill.name!r}: no service {fault.service!r}")
+    kept = tuple(drill for drill in plan.drills if only.lower() in drill.name.lower())
+    if not kept:
+        raise ConfigError(f"{path}: no drill matches {only!r}")
+    return msgspec.structs.replace(plan, drills=kept)
+
+
+def shown(expected: Expected) -> dict[str, Any]:
+    """Only what was asked for, for messages."""
+    return {key: value for key, value in msgspec.to_builtins(expected).items() if value not in (None, "", [], {}, ())}

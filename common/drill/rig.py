@@ -1,0 +1,212 @@
+"""The system under drill: a router, the services of the demo as processes, a link that can be cut before each."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import threading
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Protocol
+
+import zenoh
+
+from common import topics
+from common.clock import monotonic_s
+from common.codec import DecodeError, decode
+from common.config import ZenohConfig
+from common.drill.plan import RELAYED, Fault
+from common.drill.proxy import LinkProxy
+from common.drill.standin import UPSTREAM, StandIn
+from common.hosts import Plan, service_child
+from common.messages import ServiceInfo
+from common.session import build
+from common.topics import DATA_TOPICS, Topic, service_row
+
+STOP_BUDGET_S = 5.0
+SIM_WARM_UP_S = 4.0  # a service that starts this long before the fault has come online by then
+START_BUDGET_S = 40.0
+CLOCK_OFFSET = "SPOTTER_DRILL_CLOCK_OFFSET_S"
+
+
+class System(Protocol):
+    """What a drill can be run against."""
+
+    def can(self, fault: Fault) -> bool: ...
+    def prepare(self, fault: Fault) -> None: ...
+    def inject(self, fault: Fault) -> float: ...
+    def heal(self, fault: Fault) -> None: ...
+
+
+class Rig:
+    """Our own small demo: every fault is possible."""
+
+    def __init__(self, port: int, scenario: str, log_dir: Path, services: tuple[str, ...]) -> None:
+        self.endpoint = f"tcp/127.0.0.1:{port}"
+        self._scenario, self._log_dir, self._services = scenario, log_dir, services
+        self._stack = ExitStack()
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._proxies: dict[str, LinkProxy] = {}
+        self._stand_ins: dict[str, StandIn] = {}
+        self._port = port
+
+    def __enter__(self) -> Rig:
+        router = ZenohConfig(mode="router", connect=(), listen=(self.endpoint,), namespace="")
+        self._stack.enter_context(zenoh.open(build(router)))
+        self._session = self._stack.enter_context(zenoh.open(build(ZenohConfig(connect=(self.endpoint,)))))
+        for name in self._services:
+            self._proxies[name] = LinkProxy(("127.0.0.1", self._port))
+            self._stack.callback(self._proxies[name].close)
+            self._start(name)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for name in list(self._stand_ins):
+            self._stand_ins.pop(name).close()
+        for process in self._processes.values():
+            self._end(process)
+        self._stack.close()
+
+    def can(self, fault: Fault) -> bool:
+        return fault.service in self._services
+
+    def prepare(self, fault: Fault) -> None:
+        """Bring the service into the form that this fault needs, still without the fault."""
+        if fault.kind in RELAYED and fault.service not in self._stand_ins:
+            self._stop(fault.service)
+            row = service_row(fault.service)
+            self._stand_ins[row.name] = StandIn(row.name, row.host, _primary(row.name), self.endpoint, "spotter")
+            self._start(fault.service, namespace=UPSTREAM)
+        elif fault.kind not in RELAYED and fault.service in self._stand_ins:
+            self._stop(fault.service)
+            self._stand_ins.pop(fault.service).close()
+            self._start(fault.service)
+
+    def inject(self, fault: Fault) -> float:
+        """Break it; returns the monotonic time at which it was broken, which may be a moment ahead."""
+        process = self._processes[fault.service]
+        match fault.kind:
+            case "kill":
+                process.kill()
+            case "freeze":
+                process.send_signal(signal.SIGSTOP)
+            case "cut":
+                self._proxies[fault.service].cut()
+            case "clock":
+                self._stop(fault.service)
+                self._start(fault.service, clock_offset_s=fault.seconds)
+                return self._first_message(fault.service)
+            case "sim":
+                self._stop(fault.service)
+                self._start(fault.service, source=f"sim:faults?t0={fault.at_s - SIM_WARM_UP_S}")
+                return self._first_message(fault.service) + SIM_WARM_UP_S
+            case _:
+                self._stand_ins[fault.service].spoiler.set(fault)
+        return monotonic_s()
+
+    def heal(self, fault: Fault) -> None:
+        match fault.kind:
+            case "kill":
+                self._processes[fault.service].wait()
+                self._start(fault.service)
+            case "freeze":
+                self._processes[fault.service].send_signal(signal.SIGCONT)
+            case "cut":
+                self._proxies[fault.service].heal()
+            case "clock" | "sim":
+                self._stop(fault.service)
+                self._start(fault.service)
+            case _:
+                self._stand_ins[fault.service].spoiler.set(None)
+
+    def _start(
+        self, name: str, *, source: str | None = None, namespace: str = "spotter", clock_offset_s: float = 0.0
+    ) -> None:
+        row = service_row(name)
+        sources = {name: source or f"sim:{self._scenario}"} if name not in ("fusion", "dashboard") else {}
+        plan = Plan(listen=(self._proxies[name].endpoint,), namespace=namespace, sources=sources)
+        child = service_child(row, plan)
+        environment = {**(child.environment or os.environ), CLOCK_OFFSET: str(clock_offset_s)}
+        with (self._log_dir / f"{name}.log").open("ab") as log:
+            self._processes[name] = subprocess.Popen(
+                child.command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log
+            )
+
+    def _stop(self, name: str) -> None:
+        self._end(self._processes[name])
+
+    def _end(self, process: subprocess.Popen[bytes]) -> None:
+        process.terminate()
+        process.send_signal(signal.SIGCONT)
+        try:
+            process.wait(STOP_BUDGET_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+    def _first_message(self, name: str) -> float:
+        """Monotonic time of the first data of a service that has just been started.
+
+        Raises:
+            TimeoutError: it did not come; the service's log says why.
+        """
+        arrived = threading.Event()
+        key = _primary(name).key(service_row(name).host)
+        subscriber = self._session.declare_subscriber(key, lambda _: arrived.set())
+        try:
+            if not arrived.wait(START_BUDGET_S):
+                log = self._log_dir / f"{name}.log"
+                raise TimeoutError(f"{name} published nothing within {START_BUDGET_S:.0f} s; see {log}")
+            return monotonic_s()
+        finally:
+            subscriber.undeclare()
+
+
+class Running:
+    """A system that is running already: only processes on this machine can be disturbed, and only by signals."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._frozen: dict[str, int] = {}
+
+    def can(self, fault: Fault) -> bool:
+        return fault.kind in ("kill", "freeze") and self._pid(fault.service) is not None
+
+    def prepare(self, fault: Fault) -> None:
+        return
+
+    def inject(self, fault: Fault) -> float:
+        pid = self._pid(fault.service)
+        if pid is None:
+            raise TimeoutError(f"{fault.service} does not answer")
+        if fault.kind == "freeze":
+            self._frozen[fault.service] = pid
+        os.kill(pid, signal.SIGKILL if fault.kind == "kill" else signal.SIGSTOP)
+        return monotonic_s()
+
+    def heal(self, fault: Fault) -> None:
+        """A frozen process goes on; a killed one is its supervisor's business."""
+        pid = self._frozen.pop(fault.service, None)
+        if pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+
+    def _pid(self, service: str) -> int | None:
+        """The process of a service, when it answers and runs on this machine under this user."""
+        for reply in self._session.get(topics.info_key("*", service), timeout=1.0):
+            if reply.ok is None:
+                continue
+            try:
+                info = decode(reply.ok.payload.to_bytes(), ServiceInfo)
+            except DecodeError:
+                continue
+            command = Path(f"/proc/{info.pid}/cmdline")
+            if command.exists() and service_row(service).script.encode() in command.read_bytes():
+                return info.pid
+        return None
+
+
+def _primary(service: str) -> Topic:
+    """The topic that others decide on."""
+    return next(t for t in DATA_TOPICS if t.service == service and t.age_limit_s is not None)
