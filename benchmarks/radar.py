@@ -1,15 +1,18 @@
 """Radar: speed against a plain numpy version, accuracy, detection probability, false alarms.
 
 python -m benchmarks.radar            about a minute
-python -m benchmarks.radar speed      one part: speed, accuracy, detection, noise
+python -m benchmarks.radar speed      one part: speed, accuracy, detection, noise, recorded
 """
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from benchmarks import radar_accuracy as measure
@@ -18,6 +21,7 @@ from common.codec import encode
 from services.radar_pi.config import CfarConfig, RadarConfig
 from services.radar_pi.packing import Layout, pack_frame, unpack_frame
 from services.radar_pi.pipeline import RadarPipeline
+from services.radar_pi.recording import open_recording
 
 REPEATS = 300
 
@@ -105,7 +109,36 @@ def noise() -> None:
     )
 
 
-PARTS = {"speed": speed, "accuracy": accuracy, "detection": detection, "noise": noise}
+def recorded() -> None:
+    """Real chirps: cells over threshold where nothing moves, tracks where somebody only breathes."""
+    folder = Path(os.environ.get("SPOTTER_DATA", "../shared/data")) / "radar-bgt60tr13c"
+    if not folder.is_dir():
+        print(f"no recordings in {folder}; set SPOTTER_DATA")
+        return
+    for name, first, last in (
+        ("two_reflectors", 15, 128), ("moving_hand_first_half", 0, 12), ("seated_person_breathing", 15, 256),
+    ):  # fmt: skip
+        recording = open_recording(folder / name)
+        pipeline = RadarPipeline(msgspec.structs.replace(RadarConfig(), waveform=recording.waveform))
+        near = pipeline.axes.near_bin
+        cells = hits = moving = approaching = 0
+        for i, (stamp_ns, frame) in enumerate(recording):
+            message = pipeline.process(stamp_ns, frame)
+            if first <= i < last:
+                power = (10 ** (pipeline.detections().range_doppler_db / 10))[near:]
+                cells += power.size
+                over = pipeline.cfar.detect(power)
+                speeds = np.abs(pipeline.axes.velocity_mps[over.column])
+                hits += len(over.row)
+                moving += np.count_nonzero(speeds > 2.5 * pipeline.axes.velocity_bin_mps)  # beyond the standing echo
+                approaching += sum(track.approaching for track in message.tracks)
+        print(
+            f"{name:26s} {last - first} frames, {cells} cells: {hits} over 16 dB, {moving} of them moving; "
+            f"approaching tracks: {approaching}"
+        )
+
+
+PARTS = {"speed": speed, "accuracy": accuracy, "detection": detection, "noise": noise, "recorded": recorded}
 
 
 def main() -> None:
