@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import logging
 
+import msgspec
+
 from common.launch import service_app
 from common.runtime import Service
 from common.topics import INFRA_CLUSTERS, INFRA_POINTS, INFRA_TRACKS
+from services.infra_lidar.commands import add_commands
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.pipeline import InfraLidarPipeline
-from services.infra_lidar.source import open_source
+from services.infra_lidar.recalibrate import RecalibrationRequest, recalibrate
+from services.infra_lidar.source import open_source, surveyed_pose
+from services.infra_lidar.store import Store
 from services.infra_lidar.warm_up import warm_up
 
 log = logging.getLogger(__name__)
@@ -17,25 +22,33 @@ log = logging.getLogger(__name__)
 
 def run(config: InfraLidarConfig) -> bool:
     """Work until interrupted or until the source ends."""
+    config = msgspec.structs.replace(config, T_map_sensor=surveyed_pose(config))
+    store = Store(config.calibration.store)
     with Service("infra_lidar", config) as service:
         frames = open_source(config, service.report)
         warm_up(config, lambda text: service.report.state("starting", text))
-        pipeline = InfraLidarPipeline(config)
+        pipeline = InfraLidarPipeline(config, *store.load())
+        request = RecalibrationRequest(service)
         publish_tracks = service.publisher(INFRA_TRACKS)
         publish_clusters = service.publisher(INFRA_CLUSTERS)
         publish_points = service.publisher(INFRA_POINTS)
         for stamp_ns, frame in frames:
+            if request.taken():
+                pipeline.recalibrate()
             result = pipeline.process(stamp_ns, frame.points, frame.quality, frame.received_ns)
             publish_tracks(result.tracks)
             if publish_clusters.wanted:
                 publish_clusters(result.clusters_message())
             if publish_points.wanted:
                 publish_points(result.points_message(config.points_limit))
+            store.keep(pipeline)
         log.info("the source has ended")
     return service.closed_cleanly
 
 
 app = service_app("infra_lidar", InfraLidarConfig, run, __doc__)
+app.command()(recalibrate)
+add_commands(app)
 
 
 def main() -> None:

@@ -41,6 +41,12 @@ class CalibrationKeeper:
         return self._calibrator is None
 
     @property
+    def settled_calibration(self) -> Calibration | None:
+        """The calibration once it is final and usable."""
+        usable = self.settled and self._current is not None and not self._current.refused
+        return self._current if usable else None
+
+    @property
     def complaint(self) -> str:
         """Why the calibration should not be relied on; empty when it may."""
         if self._current is not None and self._current.refused:

@@ -52,6 +52,17 @@ def open_source(config: InfraLidarConfig, report: Report) -> Iterator[tuple[int,
     return live_packets(url, report)
 
 
+def surveyed_pose(config: InfraLidarConfig) -> tuple[float, ...]:
+    """T_map_sensor as configured; the simulator knows where its own pole stands."""
+    url = parse_source(config.source, SCHEMES)
+    if config.T_map_sensor or url.scheme != "sim":
+        return config.T_map_sensor
+    from common.sim import world
+
+    pole = world.scenario_named(url.target or "crossing").scene.T_map_pole
+    return tuple(float(value) for value in pole.ravel())
+
+
 def _simulated(url: SourceUrl) -> Iterator[tuple[int, Frame]]:
     """The pole's sensor in a scenario, computed as fast as this machine can, at most at the nominal rate."""
     from common.sim import lidar128, world  # the world is built only for those who look at it

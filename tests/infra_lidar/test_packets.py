@@ -1,4 +1,4 @@
-"""Velodyne and Ouster packets, captures and bags: built here byte by byte, and recordings against their decoded form."""
+"""Velodyne and Ouster packets, captures and bags: built here byte by byte, and recordings against decoded points."""
 
 import json
 import sqlite3

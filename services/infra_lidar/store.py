@@ -1,0 +1,95 @@
+"""Calibration and background on disk, so that a restart begins where the last run ended."""
+
+from __future__ import annotations
+
+import json
+import logging
+import zipfile
+from dataclasses import asdict, fields
+from pathlib import Path
+
+import numpy as np
+
+from services.infra_lidar.background import BackgroundModel
+from services.infra_lidar.calibration import Calibration
+from services.infra_lidar.pipeline import InfraLidarPipeline
+
+log = logging.getLogger(__name__)
+
+
+class Store:
+    """A folder with ``calibration.json`` (readable) and ``background.npz``; with an empty name nothing is kept."""
+
+    def __init__(self, folder: str) -> None:
+        self._folder = Path(folder).expanduser() if folder else None
+        self._saved_calibration: Calibration | None = None
+        self._saved_background: BackgroundModel | None = None
+
+    def load(self) -> tuple[Calibration | None, BackgroundModel | None]:
+        """What is there; a damaged file is reported in the log and treated as missing."""
+        if self._folder is None:
+            return None, None
+        self._saved_calibration = self._read("calibration.json", read_calibration)
+        self._saved_background = self._read("background.npz", read_background)
+        return self._saved_calibration, self._saved_background
+
+    def keep(self, pipeline: InfraLidarPipeline) -> None:
+        """Write what has been settled since the last call."""
+        if self._folder is None:
+            return
+        calibration, background = pipeline.calibration.settled_calibration, pipeline.scene.background.model
+        if calibration is not None and calibration is not self._saved_calibration:
+            self._saved_calibration = calibration
+            self._write("calibration.json", calibration_text(calibration).encode())
+        if background is not None and background is not self._saved_background:
+            self._saved_background = background
+            path = self._folder / "background.tmp.npz"
+            np.savez(path, **{f.name: getattr(background, f.name) for f in fields(background)})
+            path.replace(self._folder / "background.npz")
+
+    def _read(self, name: str, read):  # type: ignore[no-untyped-def]
+        assert self._folder is not None
+        path = self._folder / name
+        if not path.exists():
+            return None
+        try:
+            return read(path)
+        except (ValueError, KeyError, TypeError, OSError, zipfile.BadZipFile) as error:
+            log.warning("%s is damaged and not used: %s", path, error)
+            return None
+
+    def _write(self, name: str, data: bytes) -> None:
+        assert self._folder is not None
+        self._folder.mkdir(parents=True, exist_ok=True)
+        part = self._folder / f"{name}.tmp"
+        part.write_bytes(data)
+        part.replace(self._folder / name)  # never half a file
+
+
+def calibration_text(calibration: Calibration) -> str:
+    """The calibration as JSON for people and for ``read_calibration``."""
+    document = asdict(calibration)
+    document["T_level_sensor"] = calibration.T_level_sensor.tolist()
+    return json.dumps(document, indent=2)
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Raises ``ValueError`` or ``KeyError`` when it is no calibration."""
+    document = json.loads(path.read_text(encoding="utf-8"))
+    T = np.array(document.pop("T_level_sensor"), float)
+    if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6):
+        raise ValueError("T_level_sensor is no rigid transform")
+    return Calibration(T_level_sensor=T, **document)
+
+
+def read_background(path: Path) -> BackgroundModel:
+    """Raises ``ValueError`` or ``KeyError`` when it is no background model."""
+    with np.load(path, allow_pickle=False) as file:
+        model = BackgroundModel(
+            bounds=file["bounds"], road=file["road"], columns=int(file["columns"]), rows=int(file["rows"]),
+            known_share=float(file["known_share"]), surface=file["surface"],
+        )  # fmt: skip
+    cells = model.columns * model.rows
+    if model.bounds.shape != (cells, 4) or model.road.shape != (cells,):
+        raise ValueError(f"{model.bounds.shape} bounds for {cells} cells")
+    return model
