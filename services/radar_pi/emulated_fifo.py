@@ -53,10 +53,11 @@ class EmulatedFifo:
         self._with_header = bool(reg.PREFIX_EN.of(registers))
         header_words = HEADER_WORDS if self._with_header else 0
         self._schedule = WordSchedule(timing_of(registers), len(self._waveform.rx), header_words)
-        self._start_s = self._clock.monotonic_s()
-        self._start_utc_s = self._clock.utc_ns() * 1e-9
         self._last_frame = reg.MAX_FRAME_CNT.of(registers) or math.inf
         self._produced = self._consumed = 0
+        self._start_utc_s = self._clock.utc_ns() * 1e-9
+        self._frames = {0: self._make_frame(0)}  # before the clock starts: the first chirp is only 1 ms away
+        self._start_s, self._start_utc_s = self._clock.monotonic_s(), self._clock.utc_ns() * 1e-9
         self.running = True
 
     def stop(self) -> None:
