@@ -53,7 +53,7 @@ class CaptureConfig(Section, frozen=True, kw_only=True):
     sensor_height_px: Pixels = 1080
     sensor_rate_hz: Annotated[int, Meta(ge=1, le=240)] = 30
     start_timeout_s: Seconds = 8.0  # until the first frame of a child process
-    frame_timeout_s: Seconds = 0.6  # between two frames; then the child is ended and started again
+    frame_timeout_s: Seconds = 0.5  # between two frames; then the child is ended and started again
     retry_min_s: Seconds = 0.2
     retry_max_s: Seconds = 5.0
     csi_command: tuple[str, ...] = ()  # replaces the built-in command; {width} {height} {rate} {device} are filled in

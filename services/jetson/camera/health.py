@@ -34,11 +34,11 @@ class ViewState(NamedTuple):
 
 def reduce(image: np.ndarray) -> np.ndarray:
     """(H, W, 3) uint8 BGR to grey (h, 320) uint8; smaller pictures keep their size."""
-    rows, columns = image.shape[:2]
-    if columns > WIDTH_PX:
-        size = (WIDTH_PX, max(1, round(rows * WIDTH_PX / columns)))
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    rows, columns = grey.shape
+    if columns <= WIDTH_PX:
+        return grey
+    return cv2.resize(grey, (WIDTH_PX, max(1, round(rows * WIDTH_PX / columns))), interpolation=cv2.INTER_AREA)
 
 
 def measure(grey: np.ndarray, previous: np.ndarray | None) -> Measures:

@@ -25,13 +25,13 @@ def letterbox(image: np.ndarray, width_px: int, height_px: int) -> tuple[np.ndar
     inner = (max(1, round(columns * scale)), max(1, round(rows * scale)))
     left, top = (width_px - inner[0]) // 2, (height_px - inner[1]) // 2
     if inner != (columns, rows):
-        shrinking = inner[0] < columns
-        image = cv2.resize(image, inner, interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR)
-    if inner != (width_px, height_px):
-        right, bottom = width_px - inner[0] - left, height_px - inner[1] - top
-        grey = (PADDING_GREY, PADDING_GREY, PADDING_GREY)
-        image = cv2.copyMakeBorder(image, top, bottom, left, right, cv2.BORDER_CONSTANT, value=grey)
-    return cv2.dnn.blobFromImage(image, 1.0 / 255.0, swapRB=True), Fit(scale, left, top)
+        averaging = scale <= 0.5  # below that, interpolating would skip pixels
+        image = cv2.resize(image, inner, interpolation=cv2.INTER_AREA if averaging else cv2.INTER_LINEAR)
+    blob = np.full((1, 3, height_px, width_px), PADDING_GREY / 255, np.float32)
+    for channel, plane in enumerate(reversed(cv2.split(image))):  # several times as fast as blobFromImage
+        inside = blob[0, channel, top : top + inner[1], left : left + inner[0]]
+        np.multiply(plane, np.float32(1 / 255), out=inside)
+    return blob, Fit(scale, left, top)
 
 
 def undo(boxes_xyxy: np.ndarray, fit: Fit, width_px: int, height_px: int) -> np.ndarray:

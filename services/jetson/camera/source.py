@@ -49,6 +49,7 @@ def open_source(config: CameraConfig, report: Report) -> tuple[Source, bool]:
         return partial(_simulated, url, _known_scenario(url), config.capture, report), False
     if url.scheme == "file":
         return partial(_replayed, url, *_recording(url, config.capture)), url.number("rate", 1.0) == 0
+    command(url, config.capture)  # a wrong placeholder is told now, not in the capture thread
     return partial(_captured, url, config.capture, report), False
 
 
@@ -187,7 +188,11 @@ def _wait_lost(reason: str, pause_s: float, report: Report, stop: threading.Even
 
 
 def command(url: SourceUrl, config: CaptureConfig) -> list[str]:
-    """The child's command line, from the configuration or the built-in GStreamer pipeline."""
+    """The child's command line, from the configuration or the built-in GStreamer pipeline.
+
+    Raises:
+        ConfigError: a placeholder that is not known.
+    """
     template = {"csi": config.csi_command, "v4l2": config.v4l2_command}[url.scheme] or _GSTREAMER[url.scheme]
     values = {
         "device": url.target if url.scheme == "csi" else _device_path(url),
@@ -198,7 +203,11 @@ def command(url: SourceUrl, config: CaptureConfig) -> list[str]:
         "sensor_height": config.sensor_height_px,
         "sensor_rate": config.sensor_rate_hz,
     }
-    return [part.format_map(values) for part in template]
+    try:
+        return [part.format_map(values) for part in template]
+    except (KeyError, ValueError, IndexError) as error:
+        known = ", ".join(f"{{{name}}}" for name in values)
+        raise ConfigError(f"[capture] {url.scheme}_command: {error} is no placeholder; known: {known}") from None
 
 
 _RAW_BGR = "video/x-raw,format=BGR,width={width},height={height}"

@@ -129,11 +129,12 @@ def real_pictures(folder: Path) -> list[np.ndarray]:
     return [cv2.resize(picture, (640, 640 * picture.shape[0] // picture.shape[1])) for picture in pictures]
 
 
+@pytest.mark.slow
 def test_real_pictures_are_views_and_their_ruined_copies_are_not(recordings: Callable[[str], Path]) -> None:
     for picture in real_pictures(recordings("camera")):
-        assert Camera().shows(picture, 6) == ViewState(False, False, "")
+        assert Camera().shows(picture, CONFIG.raise_frames) == ViewState(False, False, "")
         for fault, change in CHANGES.items():
-            state = Camera().shows(change(picture), 6)
+            state = Camera().shows(change(picture), CONFIG.raise_frames)
             assert state.degraded, fault
             assert state.reason.startswith(REASON.get(fault, fault)), (fault, state.reason)
 

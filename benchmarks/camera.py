@@ -1,0 +1,162 @@
+"""The camera service: time per stage, distance against labels, how soon a lost capture is noticed and healed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import msgspec
+import numpy as np
+
+from common.sim import camera as simulated
+from common.status import Report
+from services.jetson.camera.config import CameraConfig, CaptureConfig, DetectorConfig, MountConfig
+from services.jetson.camera.evaluate import Error, compare, kitti_pictures, lens_of
+from services.jetson.camera.frames import NewestFrames
+from services.jetson.camera.pipeline import CameraPipeline
+from services.jetson.camera.source import calibrated, open_source
+
+DATA = Path(os.environ.get("SPOTTER_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
+REAL_NETWORK = DATA / "camera" / "yolov8n_int8.onnx"
+KITTI_CAMERA_M = 1.65  # above the road, from the data set's own description
+KITTI_HEIGHTS_M = {"car": 1.53, "person": 1.75, "truck": 2.8, "bicycle": 1.05, "bus": 3.0}
+ROUNDS = 15
+CHILD = """
+import os, pathlib, sys, time
+book = pathlib.Path(sys.argv[1]); first = not book.exists(); book.open("a").write(f"{os.getpid()}\\n")
+picture = bytes(int(sys.argv[3]) * int(sys.argv[4]) * 3)
+for number in range(100000):
+    if first and number == 30 and sys.argv[2] == "hang":
+        sys.stdout.buffer.write(picture[:1000]); sys.stdout.buffer.flush(); time.sleep(1000)
+    sys.stdout.buffer.write(picture); sys.stdout.buffer.flush(); time.sleep(1 / 30)
+"""
+
+
+def main() -> None:
+    print("\n## Camera: time per stage, ms (median, one network thread)")
+    stage_table()
+    print("\n## Camera: distance against KITTI's labels, relative error")
+    distance_table()
+    print("\n## Camera: a capture child that is lost (30 pictures a second, limit 0.5 s)")
+    loss_table()
+
+
+def stage_table() -> None:
+    networks = {"demo network": ""}
+    if REAL_NETWORK.exists():
+        networks["yolov8n int8"] = str(REAL_NETWORK)
+    stages = ("health", "preprocess", "inference", "postprocess", "distance")
+    print(f"| network, picture | {' | '.join(stages)} | total | pictures/s | pre+post / inference |")
+    print("|---" * (len(stages) + 4) + "|")
+    for name, model in networks.items():
+        for title, image in stage_pictures():
+            config = CameraConfig(detector=DetectorConfig(model=model, threads=1))
+            pipeline = CameraPipeline(calibrated(config))
+            runs = [pipeline.process(i * 10**8, image).stage_ms for i in range(ROUNDS) if i < 9]
+            ms = {stage: float(np.median([run[stage] for run in runs])) for stage in stages}
+            total, share = sum(ms.values()), (ms["preprocess"] + ms["postprocess"]) / ms["inference"]
+            columns = " | ".join(f"{ms[stage]:.2f}" for stage in stages)
+            print(f"| {name}, {title} | {columns} | {total:.1f} | {1e3 / total:.0f} | {share:.1%} |")
+
+
+def stage_pictures() -> Iterator[tuple[str, np.ndarray]]:
+    yield "simulated 640 x 480", simulated.image("crossing", 5.0)
+    for name in ("camera/bus.jpg", "camera/kitti_tracking_0001/000010.png"):
+        image = cv2.imread(str(DATA / name)) if (DATA / name).exists() else None
+        if image is not None:
+            yield f"{Path(name).name} {image.shape[1]} x {image.shape[0]}", image
+
+
+def distance_table() -> None:
+    if not REAL_NETWORK.exists():
+        print("(the recordings are not here; set SPOTTER_DATA)")
+        return
+    print("| boxes | objects | plain f·H/h: median, p90, worst | place unknown | camera height known |")
+    print("|---|---|---|---|---|")
+    unknown, known = kitti_errors(0.0), kitti_errors(KITTI_CAMERA_M)
+    for name, cut in (("all", None), ("whole", False), ("cut off", True)):
+        chosen = [[e for e in errors if cut in (None, e.truncated)] for errors in (unknown, known)]
+        plain = summary([e.plain for e in chosen[0]])
+        ours = [summary([e.ours for e in errors]) for errors in chosen]
+        print(f"| {name} | {len(chosen[0])} | {plain} | {ours[0]} | {ours[1]} |")
+
+
+def kitti_errors(camera_m: float) -> list[Error]:
+    """Every matched object of the labelled pictures, with the real network."""
+    detector = DetectorConfig(model=str(REAL_NETWORK), confidence=0.3)
+    errors = []
+    for picture in kitti_pictures(DATA):
+        image = cv2.imread(str(picture.path))
+        lens = lens_of(picture.projection, image.shape[1], image.shape[0])
+        config = CameraConfig(source="file:", detector=detector, lens=lens, mount=MountConfig(height_m=camera_m))
+        seen = CameraPipeline(config).process(0, image)
+        errors += compare(seen.detections, picture.labels, lens.f_y_px, KITTI_HEIGHTS_M)
+    return errors
+
+
+def summary(values: list[float]) -> str:
+    return f"{np.median(values):.1%}, {np.quantile(values, 0.9):.0%}, {max(values):.0%}" if values else "-"
+
+
+def loss_table() -> None:
+    print("| what happens to the child | noticed after, s | pictures again after, s |")
+    print("|---|---|---|")
+    for name, blow in (("killed", signal.SIGKILL), ("frozen (SIGSTOP)", signal.SIGSTOP), ("hangs in a picture", None)):
+        noticed_s, healed_s = lose_child(blow)
+        print(f"| {name} | {noticed_s:.2f} | {healed_s:.2f} |")
+
+
+def lose_child(blow: signal.Signals | None) -> tuple[float, float]:
+    """Seconds from the last picture of the old child until health says so, and until the next picture."""
+    with tempfile.TemporaryDirectory() as place:
+        return _lose_child(blow, Path(place) / "book", Path(place) / "child.py")
+
+
+def _lose_child(blow: signal.Signals | None, book: Path, script: Path) -> tuple[float, float]:
+    script.write_text(CHILD)
+    child = (sys.executable, str(script), str(book), "none" if blow else "hang", "{width}", "{height}")
+    capture = msgspec.structs.replace(CaptureConfig(), csi_command=child)
+    report = Report("benchmark")
+    arrivals_s: list[float] = []
+    with reading(CameraConfig(source="csi:0", capture=capture), report, arrivals_s):
+        wait_for(lambda: len(arrivals_s) >= 20)
+        if blow:
+            os.kill(int(book.read_text().split()[0]), blow)
+        wait_for(lambda: report.snapshot().state == "disconnected")
+        noticed_s, count = time.monotonic(), len(arrivals_s)
+        wait_for(lambda: len(arrivals_s) > count)
+    return noticed_s - arrivals_s[count - 1], arrivals_s[count] - arrivals_s[count - 1]
+
+
+@contextmanager
+def reading(config: CameraConfig, report: Report, arrivals_s: list[float]) -> Iterator[None]:
+    source, lossless = open_source(config, report)
+
+    def read() -> None:
+        for _ in frames:
+            arrivals_s.append(time.monotonic())
+            report.state("online")
+
+    frames = NewestFrames(source, report, lossless)
+    with frames:
+        reader = threading.Thread(target=read)
+        reader.start()
+        yield
+    reader.join()
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    while not condition():
+        threading.Event().wait(0.002)
+
+
+if __name__ == "__main__":
+    main()
