@@ -10,6 +10,7 @@ from services.radar_pi.config import WaveformConfig
 from services.radar_pi.registers import Register, Registers
 
 HP_CUTOFFS_HZ = (20_000, 45_000, 70_000, 80_000)
+LP_CUTOFF_HZ = 500_000  # anti-alias filter, four poles
 
 
 def receivers(waveform: WaveformConfig) -> Registers:
@@ -18,6 +19,9 @@ def receivers(waveform: WaveformConfig) -> Registers:
     Raises:
         ConfigError: a gain or a corner that the chip does not have.
     """
+    if waveform.lp_cutoff_hz != LP_CUTOFF_HZ:
+        text = f"[waveform] lp_cutoff_hz = {waveform.lp_cutoff_hz}: the chip's filter is fixed at {LP_CUTOFF_HZ}"
+        raise ConfigError(text)
     mask = waveform.rx_mask
     enable = reg.TX_EN.bits(1) | reg.VCO_EN.bits(1) | reg.FDIV_EN.bits(1) | reg.BBCHGLOB_EN.bits(1)
     enable |= reg.LO_DIST1_EN.bits(1) | reg.LO_DIST2_EN.bits(1 if mask & 0b101 else 0)

@@ -11,6 +11,7 @@ from services.radar_pi.registers import CHIP_ID_BGT60TR13C, Fstat, Gsr0, Registe
 RESET_PULSE_S = 1e-3  # at least 100 ns each
 RESET_SETTLE_S = 10e-3
 SW_RESET_POLLS = 20
+MAX_WRONG_REGISTERS = 3
 HIGH_SPEED_FROM_HZ = 20_000_000  # above, MISO has to change on the rising edge
 _SELF_CLEARING = {int(Register.MAIN): 0x00000F}
 _SILENCE = (0x000000, 0xFFFFFF)  # what an unconnected MISO reads
@@ -128,16 +129,20 @@ class Chip:
             self._clock.sleep(RESET_PULSE_S)
         raise RadarFault("reset_hangs", "software reset does not end", Cure.HARDWARE_RESET)
 
-    def configure(self, registers: Registers) -> None:
-        """Write the list and read it back.
+    def configure(self, registers: Registers) -> str:
+        """Write the list and read it back; returns a sentence about the few that read differently, or nothing.
+
+        One bit that the state machine owns must not silence a radar that works, so a few are only told.
 
         Raises:
-            RadarFault: a register did not keep its value.
+            RadarFault: many differ, so the link does not carry.
         """
         for address, value in registers.items():
             self.write(address, value)
-        for address, value in registers.items():
-            found = self.read(address)
-            if (found ^ value) & ~_SELF_CLEARING.get(address, 0):
-                text = f"register {reg.name_of(address)} reads 0x{found:06x} after 0x{value:06x} was written"
-                raise RadarFault("register_mismatch", text, Cure.HARDWARE_RESET)
+        found = {address: self.read(address) for address in registers}
+        wrong = [a for a, value in registers.items() if (found[a] ^ value) & ~_SELF_CLEARING.get(a, 0)]
+        text = ", ".join(f"{reg.name_of(a)} reads 0x{found[a]:06x} after 0x{registers[a]:06x}" for a in wrong)
+        if len(wrong) > MAX_WRONG_REGISTERS:
+            what = f"{len(wrong)} of {len(registers)} registers do not keep their value: {text}"
+            raise RadarFault("register_mismatch", what, Cure.HARDWARE_RESET)
+        return f"register {text}" if text else ""

@@ -74,7 +74,7 @@ class Driver:
         self._schedule = WordSchedule(plan.timing, self._layout.rx)
         self._burst = burst_words(self._layout, link.max_bytes)
         self._irq = InterruptLine()
-        self._self_test_text = ""
+        self._self_test_text = self._register_text = ""
 
     def frames(self) -> Generator[RadarFrame]:
         """Frames for ever; every fault is reported and cured.
@@ -106,7 +106,7 @@ class Driver:
             self._chip.check_identity()
         if cure >= Cure.SOFTWARE_RESET:
             self._chip.reset_software()
-            self._chip.configure(self._registers())
+            self._register_text = self._chip.configure(self._registers())
         if cure >= Cure.HARDWARE_RESET:
             self._self_test()
         self._chip.write(Register.MAIN, self._main(reg.FIFO_RESET))
@@ -259,4 +259,4 @@ class Driver:
 
     def _note(self) -> str:
         polling = "" if self._irq.trusted else "interrupt line is not to be trusted: polling; check [spi] irq_gpio"
-        return "; ".join(filter(None, (self._self_test_text, polling)))
+        return "; ".join(filter(None, (self._register_text, self._self_test_text, polling)))

@@ -167,15 +167,28 @@ def test_no_chip_is_refused_with_a_hint(chip, clock, report) -> None:
         next(frames)
 
 
-def test_a_register_that_does_not_keep_its_value_is_named(chip, clock, report) -> None:
-    class Forgetful(Wire):
-        def transfer(self, data: bytes) -> bytes:
-            reply = super().transfer(data)
-            return reply if data != reg.read_command(Register.CCR2) else bytes([reply[0], 0, 0, 0])
+class Forgetful(Wire):
+    """These registers read zero."""
 
-    frames = Driver(Forgetful(chip), clock, DEFAULT, SPEED_HZ, report).frames()
-    with pytest.raises(RadarFault, match="register CCR2 reads 0x000000 after 0x03f000 was written"):
-        next(frames)
+    def __init__(self, chip: EmulatedChip, *forgotten: Register) -> None:
+        super().__init__(chip)
+        self._reads = [reg.read_command(register) for register in forgotten]
+
+    def transfer(self, data: bytes) -> bytes:
+        reply = super().transfer(data)
+        return bytes([reply[0], 0, 0, 0]) if data in self._reads else reply
+
+
+def test_a_register_that_does_not_keep_its_value_is_told_with_every_frame(chip, clock, report) -> None:
+    wire = Forgetful(chip, Register.PACR1)
+    with closing(Driver(wire, clock, DEFAULT, SPEED_HZ, report).frames()) as frames:
+        assert next(frames).note == "register PACR1 reads 0x000000 after 0xe967fd"
+
+
+def test_a_link_that_forgets_many_registers_is_refused(chip, clock, report) -> None:
+    wire = Forgetful(chip, Register.PACR1, Register.ADC0, Register.CCR2, Register.PLL1_0)
+    with pytest.raises(RadarFault, match="4 of 38 registers do not keep their value: ADC0 reads 0x000000 after"):
+        next(Driver(wire, clock, DEFAULT, SPEED_HZ, report).frames())
 
 
 def test_self_test_failure_is_told_with_every_frame_but_does_not_silence_the_radar(chip, clock, report) -> None:

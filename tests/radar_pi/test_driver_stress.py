@@ -52,7 +52,7 @@ def _schedule(clock, chip: EmulatedChip, events, lasting) -> None:
         clock.at(at_s + length_s, lambda fault=fault: chip.heal(fault))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(events, lasting, pauses)
 def test_random_faults_never_damage_a_frame_and_never_stop_the_stream(events, lasting, pauses) -> None:
     clock = ManualClock()

@@ -214,6 +214,7 @@ def test_what_the_chip_does_is_near_what_was_asked(
     [
         ({"sample_rate_hz": 1.9e6}, "80 MHz / n; next is 1904761.9"),
         ({"if_gain_db": 24}, "the chip has 18, 23 .. 48 and 30, 35 .. 60"),
+        ({"lp_cutoff_hz": 400_000}, "lp_cutoff_hz = 400000: the chip's filter is fixed at 500000"),
         ({"samples": 127}, "samples: even for one or three receivers"),
         ({"hp_cutoff_hz": 50_000}, "hp_cutoff_hz = 50000: the chip has"),
         ({"chirp_period_s": 1.06e-4}, "chirp_period_s = 0.000106: at least 110.125 us"),
