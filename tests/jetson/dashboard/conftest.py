@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import shutil
+import socket
 import subprocess
 import sys
 import time
@@ -14,7 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 from websockets.sync.client import connect as open_socket
+
+from common.config import ZenohConfig
+from common.session import build
 
 CHROMIUM = next((path for path in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if path), None)
 FLAGS = (
@@ -44,7 +49,7 @@ class Browser:
             return bool(targets)
 
         self._until(page_is_there)
-        self._socket = open_socket(targets[0]["webSocketDebuggerUrl"], max_size=None)
+        self._socket = open_socket(targets[0]["webSocketDebuggerUrl"], max_size=None, legacy=True)
         self._next_id = 0
         self.complaints: list[str] = []
         self.requests: list[str] = []
@@ -58,6 +63,7 @@ class Browser:
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self._call("Emulation.setEmulatedMedia", features=[scheme])
         self._call("Page.navigate", url=url)
+        self.wait(f"location.href.startsWith('{url}') && document.readyState == 'complete'")
 
     def run(self, script: str) -> Any:
         """The value of a JavaScript expression; a promise is awaited."""
@@ -70,7 +76,8 @@ class Browser:
         deadline_s = time.monotonic() + budget_s
         while not (value := self.run(script)):
             if time.monotonic() > deadline_s:
-                raise AssertionError(f"never true: {script}\n{self.run('document.body.innerText')[:2000]}")
+                shown = self.run("document.body ? document.body.innerText : ''")
+                raise AssertionError(f"never true: {script}\n{shown[:2000]}")
         return value
 
     def press(self, key: str) -> None:
@@ -150,20 +157,50 @@ class Dashboard:
             return False
 
     def close(self) -> None:
-        self.process.terminate()
-        self.process.wait(10)
+        if self.process.poll() is None:
+            self.process.terminate()
+            self.process.wait(10)
         if self.process.stderr:
             self.process.stderr.close()
 
 
-@pytest.fixture
-def start_dashboard(router_endpoint: str, free_ports: Callable[[], int]) -> Iterator[Callable[..., Dashboard]]:
+@pytest.fixture(scope="module")
+def module_router() -> Iterator[str]:
+    """A router for all tests of a file."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with zenoh.open(build(ZenohConfig(mode="router", connect=(), listen=(endpoint,), namespace=""))):
+        yield endpoint
+
+
+@pytest.fixture(scope="module")
+def start_dashboard_at() -> Iterator[Callable[..., Dashboard]]:
+    """``start(endpoint, *settings, port=...)``: dashboards that end with the file."""
     started: list[Dashboard] = []
 
-    def start(*settings: str) -> Dashboard:
-        started.append(Dashboard(router_endpoint, free_ports(), *settings))
+    def start(endpoint: str, *settings: str, port: int | None = None) -> Dashboard:
+        started.append(Dashboard(endpoint, port or free_port(), *settings))
         return started[-1]
 
     yield start
     for dashboard in started:
         dashboard.close()
+
+
+@pytest.fixture
+def start_dashboard(router_endpoint: str) -> Iterator[Callable[..., Dashboard]]:
+    """A dashboard on the test's own router."""
+    started: list[Dashboard] = []
+
+    def start(*settings: str) -> Dashboard:
+        started.append(Dashboard(router_endpoint, free_port(), *settings))
+        return started[-1]
+
+    yield start
+    for dashboard in started:
+        dashboard.close()
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

@@ -1,0 +1,209 @@
+"""The page in a real browser: every state of the bar, stale drawn as stale, a lost server said, usable by anybody.
+
+Set SPOTTER_SCREENSHOTS to a folder to keep a picture of each state.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from common import topics
+from common.config import ServiceConfig, ZenohConfig
+from common.messages import ClockHealth, SensorHealth, SystemHealth, Verdict, VerdictInput
+from common.runtime import Service
+
+pytestmark = [pytest.mark.system, pytest.mark.slow]
+
+BARS = [
+    ("green", "ALL SENSORS ONLINE"),
+    ("amber", "CAM DEGRADED: no visual confirmation"),
+    ("red", "LIDAR DISCONNECTED + CAM DEGRADED: radar only, static obstacles may be missed"),
+    ("red", "ALL SENSORS OFFLINE, SYSTEM BLIND"),
+]
+
+
+@dataclass
+class Fusion:
+    """A fusion that says what the test wants, at 20 Hz, until it is told to be silent."""
+
+    zenoh: ZenohConfig
+    level: str = "SAFE"
+    colour: str = "green"
+    summary: str = "ALL SENSORS ONLINE"
+    sensor_state: str = "online"
+    silent: bool = False
+    stop: threading.Event = field(default_factory=threading.Event)
+
+    def live(self) -> None:
+        with Service("fusion", ServiceConfig(host="jetson0", zenoh=self.zenoh)) as service:
+            put_verdict = service.publisher(topics.FUSION_VERDICT)
+            put_health = service.publisher(topics.FUSION_HEALTH)
+            while not self.stop.wait(0.05):
+                if not self.silent:
+                    put_verdict(self.verdict())
+                    put_health(self.health())
+
+    def verdict(self) -> Verdict:
+        contribution = VerdictInput(
+            state="online", level=self.level, age_ms=40.0, used=True, why="its band counts",  # type: ignore[arg-type]
+            stage_ms={"capture": 1.0, "processing": 2.0, "transport": 0.5, "fusion": 0.1},
+        )  # fmt: skip
+        permission = {"SAFE": "GO", "CAUTION": "SLOW", "IMMINENT": "STOP"}[self.level]
+        return Verdict(
+            stamp_ns=time.time_ns(), level=self.level, rule="R1-worst-case", because="lidar sees something at 0.61 m",  # type: ignore[arg-type]
+            inputs={"lidar": contribution}, confirmed=False, suppressed=False, advisory=None, blind=False,
+            permission=permission, to_lower="the centre lane clear for 4 scans",  # type: ignore[arg-type]
+        )  # fmt: skip
+
+    def health(self) -> SystemHealth:
+        sensor = SensorHealth(
+            state=self.sensor_state, reason="" if self.sensor_state == "online" else "lens blocked: 40 scans",  # type: ignore[arg-type]
+            since_ns=time.time_ns(), age_ms=40.0, rate_hz=10.0,
+        )  # fmt: skip
+        clocks = {"pi0": ClockHealth(offset_ms=1.2, bound_ms=0.4, age_s=1.0, trusted=True)}
+        return SystemHealth(
+            stamp_ns=time.time_ns(), sensors={"lidar": sensor, "radar": sensor, "camera": sensor},
+            colour=self.colour, summary=self.summary, services={}, clocks=clocks,  # type: ignore[arg-type]
+        )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def running(module_router: str, start_dashboard_at: Callable[..., Any]) -> Iterator[tuple[Fusion, Any]]:
+    """One fusion and one dashboard for the whole file."""
+    fusion = Fusion(ZenohConfig(connect=(module_router,)))
+    thread = threading.Thread(target=fusion.live)
+    thread.start()
+    yield fusion, start_dashboard_at(module_router)
+    fusion.stop.set()
+    thread.join()
+
+
+@pytest.fixture
+def fusion(running: tuple[Fusion, Any]) -> Fusion:
+    """The file's fusion, saying SAFE and green again."""
+    fusion = running[0]
+    fusion.level, fusion.colour, fusion.summary = "SAFE", *BARS[0]
+    fusion.sensor_state, fusion.silent = "online", False
+    return fusion
+
+
+@pytest.fixture
+def url(running: tuple[Fusion, Any]) -> str:
+    return str(running[1].url)
+
+
+def keep_picture(browser: Any, name: str) -> None:
+    if folder := os.environ.get("SPOTTER_SCREENSHOTS"):
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        browser.picture(Path(folder) / f"{name}.png")
+
+
+def text_of(element: str) -> str:
+    return f"document.getElementById('{element}').textContent"
+
+
+def test_every_state_of_the_health_bar(browser: Any, fusion: Fusion, url: str) -> None:
+    browser.open(url)
+    for colour, summary in BARS:
+        fusion.colour, fusion.summary = colour, summary
+        browser.wait(
+            f"{text_of('health')} == '{summary}' && document.getElementById('health').className == 'health {colour}'"
+        )
+        keep_picture(browser, f"bar-{colour}-{BARS.index((colour, summary))}")
+
+
+@pytest.mark.parametrize(("level", "permission"), [("SAFE", "GO"), ("CAUTION", "SLOW"), ("IMMINENT", "STOP")])
+def test_the_verdict_is_large_and_says_why(browser: Any, fusion: Fusion, url: str, level: str, permission: str) -> None:
+    fusion.level = level
+    browser.open(url)
+    browser.wait(f"{text_of('level')} == '{level}' && {text_of('permission')} == '{permission}'")
+    assert browser.run(text_of("because")) == "lidar sees something at 0.61 m"
+    assert "centre lane clear" in browser.run(text_of("to-lower"))
+    assert browser.run("parseFloat(getComputedStyle(document.getElementById('level')).fontSize)") > 90
+    signs = browser.run("document.querySelector('.sign span').textContent")
+    assert signs == {"SAFE": "✓", "CAUTION": "!", "IMMINENT": "✕"}[level]
+    keep_picture(browser, f"verdict-{level.lower()}")
+
+
+def test_a_silent_fusion_is_no_verdict_within_half_a_second(browser: Any, fusion: Fusion, url: str) -> None:
+    browser.open(url)
+    browser.wait(f"{text_of('level')} == 'SAFE'")
+    fusion.silent = True
+    browser.wait(f"{text_of('level')} == 'NO VERDICT' && {text_of('permission')} == 'STOP'")
+    assert "treat as STOP" in browser.run(text_of("because"))
+    keep_picture(browser, "no-verdict")
+    browser.wait(f"{text_of('health')}.startsWith('HEALTH UNKNOWN')")
+    fusion.silent = False
+    browser.wait(f"{text_of('level')} == 'SAFE'")
+
+
+def test_a_lost_server_greys_the_page_and_comes_back(
+    browser: Any, fusion: Fusion, module_router: str, start_dashboard_at: Callable[..., Any]
+) -> None:
+    dashboard = start_dashboard_at(module_router)
+    browser.open(dashboard.url)
+    browser.wait(f"{text_of('level')} == 'SAFE'")
+    dashboard.close()
+    browser.wait("document.body.classList.contains('cut') && !document.getElementById('link').hidden")
+    assert browser.run(text_of("level")) == "NO VERDICT"
+    keep_picture(browser, "server-lost")
+    start_dashboard_at(module_router, port=dashboard.port)
+    browser.wait(f"{text_of('level')} == 'SAFE' && !document.body.classList.contains('cut')")
+
+
+def test_a_degraded_sensor_shows_since_when_and_why(browser: Any, fusion: Fusion, url: str) -> None:
+    fusion.sensor_state = "degraded"
+    browser.open(url)
+    row = browser.wait("document.querySelector('#sensors tr') && document.querySelector('#sensors tr').innerText")
+    assert "degraded since" in row
+    assert "lens blocked: 40 scans" in row
+    browser.wait(
+        "document.querySelector('#clocks tr') && document.querySelector('#clocks tr').innerText.includes('+1.20 ms')"
+    )
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize(("width", "height"), [(360, 740), (768, 1024), (1400, 1000), (3840, 2160)])
+def test_it_fits_every_screen_and_can_be_read(
+    browser: Any, fusion: Fusion, url: str, width: int, height: int, dark: bool
+) -> None:
+    fusion.level = "CAUTION"
+    browser.complaints.clear()
+    browser.requests.clear()
+    browser.open(url, width, height, dark)
+    browser.wait(f"{text_of('level')} == 'CAUTION'")
+    browser.wait("!!document.querySelector('#sensors tr')")
+    assert browser.run("document.documentElement.scrollWidth <= window.innerWidth + 1"), "scrolls sideways"
+    faint = browser.run((Path(__file__).parent / "contrast.js").read_text())
+    assert not faint, faint
+    assert all(asked.startswith((url, url.replace("http", "ws"))) for asked in browser.requests)
+    assert browser.complaints == []
+    keep_picture(browser, f"page-{width}-{'dark' if dark else 'light'}")
+
+
+def test_everything_can_be_reached_and_has_a_name(browser: Any, fusion: Fusion, url: str) -> None:
+    browser.open(url)
+    browser.wait(f"{text_of('level')} == 'SAFE'")
+    nameless = browser.run(
+        """[...document.querySelectorAll('button, select, canvas, img, section, ol, nav')].filter((e) =>
+             !(e.getAttribute('aria-label') || e.getAttribute('aria-labelledby') || e.alt || e.textContent.trim()
+               || (e.id && document.querySelector(`label[for=${e.id}]`)))).map((e) => e.outerHTML.slice(0, 80))"""
+    )
+    assert nameless == []
+    assert browser.run("document.documentElement.lang") == "en"
+    assert browser.run("document.querySelectorAll('h1').length") == 1
+    reached = set()
+    for _ in range(12):
+        browser.press("Tab")
+        reached.add(browser.run("document.activeElement.id || document.activeElement.className"))
+    assert {"skip", "sound", "rate", "cloud-toggle", "roadside-home"} <= reached
+    browser.run("document.getElementById('sound').click()")
+    assert browser.run("document.getElementById('sound').getAttribute('aria-pressed')") == "true"

@@ -1,0 +1,167 @@
+"""The server as a process: pages, token, strangers, slow clients, on-demand topics, a taken port, a clean end."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+
+from common import topics
+from common.config import ServiceConfig, ZenohConfig
+from common.messages import CompressedImage, Verdict
+from common.runtime import Service
+
+pytestmark = [pytest.mark.system]
+
+
+def get(url: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=5) as reply:
+            return reply.status, dict(reply.headers), reply.read()
+    except urllib.error.HTTPError as error:
+        return error.code, dict(error.headers), error.read()
+
+
+def eventually(condition: Callable[[], Any], budget_s: float = 15.0) -> Any:
+    deadline_s = time.monotonic() + budget_s
+    while not (value := condition()):
+        assert time.monotonic() < deadline_s, "did not happen in time"
+    return value
+
+
+def verdict(stamp_ns: int = 1) -> Verdict:
+    return Verdict(
+        stamp_ns=stamp_ns, level="SAFE", rule="R0", because="test", inputs={}, confirmed=False,
+        suppressed=False, advisory=None, blind=False, permission="GO",
+    )  # fmt: skip
+
+
+def test_the_page_needs_nothing_from_elsewhere(start_dashboard: Callable[..., Any]) -> None:
+    dashboard = start_dashboard()
+    status, headers, page = get(f"{dashboard.url}/")
+    assert status == 200
+    assert "default-src 'self'" in headers["content-security-policy"]
+    assert b"http://" not in page
+    assert b"https://" not in page
+
+
+@pytest.mark.parametrize(
+    "path", ["/static/../config.py", "/static/%2e%2e/config.py", "/../../etc/passwd", "/api/image/.."]
+)
+def test_no_file_outside_the_page_is_given(start_dashboard: Callable[..., Any], path: str) -> None:
+    dashboard = start_dashboard()
+    connection = http.client.HTTPConnection("127.0.0.1", dashboard.port, timeout=5)
+    connection.request("GET", path)
+    assert connection.getresponse().status in (400, 404)
+    connection.close()
+
+
+def test_without_its_token_nothing_is_told(start_dashboard: Callable[..., Any]) -> None:
+    dashboard = start_dashboard("server.token=open-sesame")
+    for path in ("/", "/api/snapshot", "/static/main.js", "/?token=wrong"):
+        assert get(dashboard.url + path)[0] == 401, path
+    with pytest.raises(WebSocketException):
+        connect(f"ws://127.0.0.1:{dashboard.port}/ws")
+    status, headers, _ = get(f"{dashboard.url}/?token=open-sesame")
+    assert status == 200
+    cookie = headers["set-cookie"].split(";")[0]
+    assert get(f"{dashboard.url}/api/snapshot", Cookie=cookie)[0] == 200
+    with connect(f"ws://127.0.0.1:{dashboard.port}/ws?token=open-sesame") as client:
+        assert "entries" in json.loads(client.recv(timeout=5))
+
+
+def test_a_page_of_another_site_may_not_listen(start_dashboard: Callable[..., Any]) -> None:
+    dashboard = start_dashboard()
+    with pytest.raises(WebSocketException):
+        connect(f"ws://127.0.0.1:{dashboard.port}/ws", origin="http://elsewhere.example")  # type: ignore[arg-type]
+
+
+def test_pictures_are_made_only_while_somebody_looks(
+    start_dashboard: Callable[..., Any], zenoh_config: ZenohConfig
+) -> None:
+    dashboard = start_dashboard()
+    with Service("camera", ServiceConfig(host="jetson0", zenoh=zenoh_config)) as camera:
+        publish = camera.publisher(topics.CAMERA_IMAGE)
+        assert not publish.wanted
+        with connect(f"ws://127.0.0.1:{dashboard.port}/ws") as client:
+            client.send(json.dumps({"rate_hz": 10, "products": ["camera/image"]}))
+            eventually(lambda: publish.wanted)
+            publish(CompressedImage(stamp_ns=1, format="jpeg", data=b"\xff\xd8\xff"))
+            eventually(lambda: get(f"{dashboard.url}/api/image/jetson0")[2] == b"\xff\xd8\xff")
+        eventually(lambda: not publish.wanted)
+
+
+def test_a_client_that_does_not_read_delays_nobody(
+    start_dashboard: Callable[..., Any], zenoh_config: ZenohConfig
+) -> None:
+    dashboard = start_dashboard()
+    stop = threading.Event()
+    with Service("fusion", ServiceConfig(host="jetson0", zenoh=zenoh_config)) as fusion:
+        publish = fusion.publisher(topics.FUSION_VERDICT)
+
+        def speak() -> None:
+            while not stop.wait(0.02):
+                publish(verdict(time.time_ns()))
+
+        speaker = threading.Thread(target=speak)
+        speaker.start()
+        try:
+            stuck = connect(f"ws://127.0.0.1:{dashboard.port}/ws", max_queue=1, close_timeout=0.2, legacy=True)
+            stuck.send('{"rate_hz": 20}')
+            with connect(f"ws://127.0.0.1:{dashboard.port}/ws") as lively:
+                lively.send('{"rate_hz": 20}')
+                ages_ms = []
+                eventually(lambda: "jetson0/fusion/verdict" in json.loads(lively.recv(timeout=5))["entries"])
+                for _ in range(40):
+                    entries = json.loads(lively.recv(timeout=5))["entries"]
+                    ages_ms.append(entries["jetson0/fusion/verdict"]["age_ms"])
+            assert sorted(ages_ms)[20] < 500
+            with contextlib.suppress(WebSocketException, TimeoutError):
+                stuck.close()
+        finally:
+            stop.set()
+            speaker.join()
+
+
+def test_a_taken_port_is_told(zenoh_config: ZenohConfig) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        script = str(Path(sys.executable).with_name("spotter-dashboard"))
+        command = [script, "--set", f'zenoh.connect=["{zenoh_config.connect[0]}"]', "--set", f"server.port={port}"]
+        ended = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert ended.returncode == 2
+    assert f"[server] port = {port}: cannot listen" in ended.stderr
+
+
+def test_an_open_address_without_a_token_is_refused() -> None:
+    script = str(Path(sys.executable).with_name("spotter-dashboard"))
+    ended = subprocess.run(
+        [script, "--set", "server.address=0.0.0.0"], capture_output=True, text=True, timeout=30, check=False
+    )
+    assert ended.returncode == 2
+    assert "set [server] token" in ended.stderr
+
+
+def test_it_ends_within_a_second_with_clients_connected(start_dashboard: Callable[..., Any]) -> None:
+    dashboard = start_dashboard()
+    with connect(f"ws://127.0.0.1:{dashboard.port}/ws") as client:
+        client.recv(timeout=5)
+        dashboard.process.send_signal(signal.SIGTERM)
+        assert dashboard.process.wait(10) == 0
