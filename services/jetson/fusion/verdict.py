@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
-from common.messages import Level, SensorState, Verdict
+from common.messages import Level, SensorState, Verdict, worst
 from services.jetson.fusion.config import RulesConfig
 from services.jetson.fusion.evidence import RANK, Alarm, FusionInputs, FusionMemory, SensorInput
 from services.jetson.fusion.explain import explain_inputs, seen_by, to_lower
@@ -84,10 +84,10 @@ def vote(sensor: SensorInput) -> Level | None:
 
 def radar_vote(inputs: FusionInputs) -> Level | None:
     """The radar's vote; standing tracks count only while the lidar is degraded and we may be moving (R9)."""
-    level = vote(inputs.radar)
-    if uses_static(inputs) and RANK[inputs.radar.static_level] > RANK[level]:
-        return inputs.radar.static_level
-    return level
+    level, static = vote(inputs.radar), inputs.radar.static_level
+    if level is None or static is None or not uses_static(inputs):
+        return level
+    return worst(level, static)
 
 
 def uses_static(inputs: FusionInputs) -> bool:
@@ -117,8 +117,8 @@ def _continue_detection(
 ) -> FusionMemory:
     since_s = inputs.now_s if memory.lidar_since_s is None else memory.lidar_since_s
     nearest_m, farthest_m = inputs.lidar.nearest_m, memory.farthest_m
-    if nearest_m is not None and (farthest_m is None or nearest_m > farthest_m):
-        farthest_m = nearest_m
+    if nearest_m is not None:
+        farthest_m = nearest_m if farthest_m is None else max(farthest_m, nearest_m)
     closing = nearest_m is not None and farthest_m is not None and farthest_m - nearest_m >= rules.suppression_closing_m
     spent = memory.suppression_spent or closing or RANK[radar] >= RANK["CAUTION"]
     return replace(memory, lidar_since_s=since_s, farthest_m=farthest_m, suppression_spent=spent)
@@ -177,7 +177,7 @@ def is_suppressed(
 def camera_claims(inputs: FusionInputs, claims: list[Claim], rules: RulesConfig) -> list[Claim]:
     """R3 and R5: what the camera adds to the alarms of the others, or says in the lidar's place."""
     level = inputs.camera.level
-    if inputs.camera.state != "online" or level is None:
+    if level is None:
         return []
     instead = stand_in(inputs)
     if instead is not None:

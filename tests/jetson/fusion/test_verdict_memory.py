@@ -68,6 +68,12 @@ def test_closing_by_ten_centimetres_ends_it_for_good() -> None:
     assert "no longer holds it back" in verdict.to_lower
 
 
+def test_closing_by_exactly_the_limit_is_closing() -> None:
+    run = Run(RulesConfig(suppression_closing_m=0.25))
+    assert run.at(0.0, lidar=detected(nearest_m=1.5)).suppressed
+    assert run.at(0.1, lidar=detected(nearest_m=1.25)).level == "CAUTION"
+
+
 def test_the_radar_leaving_safe_ends_it_for_good() -> None:
     run = Run()
     assert run.at(0.0, lidar=detected()).suppressed
@@ -115,13 +121,22 @@ def test_the_camera_may_be_forbidden_to_raise() -> None:
 
 
 @pytest.mark.parametrize("name", ["lidar", "radar"])
-def test_an_alarm_outlives_its_sensor_for_a_moment(name: str) -> None:
+@pytest.mark.parametrize("level", ["CAUTION", "IMMINENT"])
+def test_an_alarm_outlives_its_sensor_for_a_moment(name: str, level: str) -> None:
     run = Run()
-    run.at(0.0, **{name: detected("IMMINENT")})
+    run.at(0.0, **{name: detected(level)})
     for now_s in (0.1, 0.4):
         verdict = run.at(now_s, **{name: LOST})
-        assert (verdict.level, verdict.rule) == ("IMMINENT", "H1-held")
+        assert (verdict.level, verdict.rule) == (level, "H1-held")
     assert run.at(0.5, **{name: LOST}).level == "SAFE"
+
+
+def test_an_alarm_that_goes_on_is_held_from_its_last_moment() -> None:
+    run = Run()
+    impaired = SensorInput(state="degraded", level="CAUTION", age_s=0.02, reason="blocked")
+    for step in range(5):
+        run.at(0.1 * step, lidar=impaired)
+    assert run.at(0.8, lidar=LOST).rule == "H1-held"
 
 
 def test_a_blocked_lens_does_not_lower_an_alarm_at_once() -> None:
@@ -177,14 +192,20 @@ def test_the_verdict_names_the_object_and_what_would_lower_it() -> None:
         ({"starting": ("radar",), "radar": LOST}, "A25-starting", "a first message from radar"),
         ({"distrust": ("pi0 stepped",)}, "C1-clock", "clock offset"),
         ({"lidar": LOST, "camera": detected("SAFE")}, "R5-camera-stands-in", "lidar online again"),
+        ({"radar": detected()}, "R1-worst-case", "radar to report SAFE"),
         ({"roadside": detected("CAUTION")}, "I1-roadside", "the roadside object off the vehicle's path"),
         ({"lidar": detected(), "camera": detected()}, "R3-confirmed", "camera to report SAFE"),
     ],
 )
 def test_the_deciding_rule_and_the_way_down(sensors: dict[str, Any], rule: str, to_lower: str) -> None:
     verdict = Run().at(0.0, **sensors)
-    assert verdict.rule == rule
+    assert (verdict.level, verdict.rule) == ("CAUTION", rule)
     assert verdict.to_lower.startswith(to_lower)
+
+
+def test_a_clear_verdict_names_who_can_see() -> None:
+    assert Run().at(0.0).because == "lidar, radar, camera see nothing near"
+    assert Run().at(0.0, radar=LOST).because == "lidar, camera see nothing near"
 
 
 def test_standing_radar_tracks_count_with_a_degraded_lidar_unless_the_vehicle_stands() -> None:
