@@ -1,0 +1,106 @@
+"""Bodies that come near: one id from the first report to arm's length, levels as the simulated truth has them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.radar_accuracy import Truth, approach, settled_pipeline
+from common.config import load
+from common.messages import LEVELS, RadarTracks
+from common.sim import bgt60
+from common.sim.crossing import yard_and_street
+from common.sim.model import Player, Scenario
+from common.sim.motion import Errand, Ride, line
+from common.sim.truth import expect
+from services.radar_pi import pipeline as pipeline_module
+from services.radar_pi.config import RadarConfig
+from services.radar_pi.pipeline import RadarPipeline
+from services.radar_pi.source import simulator_waveform
+
+CONFIG = RadarConfig()
+SHAPE = simulator_waveform(CONFIG.waveform)
+PERIOD_NS = 100_000_000
+
+
+@pytest.mark.parametrize(
+    ("kind", "speed_mps", "start_m"), [("pedestrian", 1.4, 6.2), ("pedestrian", 0.7, 4.0), ("car", 4.0, 9.0)]
+)
+def test_an_approaching_body_keeps_one_id_to_arms_length(kind: str, speed_mps: float, start_m: float) -> None:
+    """The simulated walker (trunk, head, swinging limbs) and a small car, straight at the radar to 0.3 m."""
+    size_m = {"pedestrian": None, "car": (0.4, 0.2, 0.25)}[kind]
+    half_m = {"pedestrian": 0.15, "car": 0.2}[kind]
+    near = (0.2 + 0.28 + half_m, 0.0)  # the radar sits at x = 0.2
+    come = Ride(line((start_m, 0.0), near), start_s=2.0, speed_mps=speed_mps, accel_mps2=50.0)
+    back = Ride(line(near, (start_m, 0.0)), start_s=30.0, speed_mps=3.0)
+    scenario = Scenario("approach", 60.0, yard_and_street(), (Player(1, kind, Errand((come, back), 60.0), size_m),))
+    pipeline = RadarPipeline(CONFIG)
+    nearest = []
+    for i in range(int((2.0 + come.duration_s) / 0.1)):
+        message = pipeline.process(i * PERIOD_NS, bgt60.frame(scenario, i * 0.1, SHAPE))
+        approaching = [track for track in message.tracks if track.approaching]
+        nearest.append(min(approaching, key=lambda track: track.range_m, default=None))
+    first = next(i for i, track in enumerate(nearest) if track)
+    tracks = [track for track in nearest[first:] if track]
+    assert len(tracks) == len(nearest) - first
+    assert {track.track_id for track in tracks} == {tracks[0].track_id}
+    assert tracks[-1].level == "IMMINENT"
+    assert tracks[-1].range_m < 0.8
+    speeds = [-track.velocity_mps for track in tracks[5:-2]]
+    assert np.median(speeds) == pytest.approx(speed_mps, rel=0.2)
+
+
+@pytest.mark.parametrize("speed_mps", [1.4, 4.0])
+def test_a_point_keeps_one_id_from_first_report_to_0_3_m(speed_mps: float) -> None:
+    pipeline, start_ns = settled_pipeline(CONFIG)
+    frames = int(5.9 / speed_mps / 0.1)
+    messages = approach(pipeline, start_ns, Truth(0.3, -speed_mps, 0.1, 35.0), frames, seed=8)
+    reported = [[track.track_id for track in message.tracks] for message in messages]
+    first = next(i for i, ids in enumerate(reported) if ids)
+    assert first <= 3
+    assert reported[first:] == [[1]] * (frames - first)
+    assert messages[-1].tracks[0].range_m == pytest.approx(0.3, abs=0.06)
+
+
+@pytest.mark.parametrize("speed_mps", [0.8, 1.4, 2.4])
+def test_the_bench_configuration_tells_a_walker_from_its_alias(speed_mps: float) -> None:
+    """+-1.27 m/s unambiguous: faster bodies show up as slower, receding ones; their range gives them away."""
+    bench = load(RadarConfig, Path(pipeline_module.__file__).parent / "config_3rx_5m.toml")
+    pipeline, start_ns = settled_pipeline(bench)
+    messages = approach(pipeline, start_ns, Truth(0.8, -speed_mps, 0.1, 35.0), 12, seed=8)
+    assert [track.track_id for track in messages[-1].tracks] == [1]
+    track = messages[-1].tracks[0]
+    assert track.velocity_mps == pytest.approx(-speed_mps, abs=0.05)
+    assert track.range_m == pytest.approx(0.8, abs=0.05)
+    assert track.level == "IMMINENT"
+
+
+def crossing(pipeline: RadarPipeline) -> list[RadarTracks]:
+    """The second turn of the demonstration's scenario, when the background has settled."""
+    frames = [bgt60.frame("crossing", i * 0.1, SHAPE) for i in range(150)]
+    messages = [pipeline.process(i * PERIOD_NS, frame) for i, frame in enumerate(2 * frames)]
+    return messages[150:]
+
+
+def test_levels_of_the_demonstration_are_those_of_the_truth() -> None:
+    messages = crossing(RadarPipeline(CONFIG))
+    told = np.array([LEVELS.index(message.level) for message in messages])
+    true = np.array([LEVELS.index(expect("crossing", i * 0.1).radar_level or "SAFE") for i in range(150)])
+    assert np.mean(told == true) > 0.9
+    changes = np.flatnonzero(np.diff(true)) + 1
+    off = np.flatnonzero(told != true)
+    assert all(np.abs(changes - i).min() <= 4 for i in off)  # only near a change, by confirmation and gates
+    assert not np.any((told == 0) & (true == 2))
+
+
+def test_ranges_of_the_demonstration_are_those_of_the_truth() -> None:
+    errors = []
+    for i, message in enumerate(crossing(RadarPipeline(CONFIG))):
+        targets = [t for t in expect("crossing", i * 0.1).radar_targets if t.velocity_mps < -0.5]
+        tracks = [t for t in message.tracks if t.approaching]
+        errors += [min(abs(t.range_m - target.range_m) for t in tracks) for target in targets[:1] if tracks]
+    assert len(errors) > 30
+    assert np.median(errors) < 0.2
+    assert np.percentile(errors, 95) < 0.45
