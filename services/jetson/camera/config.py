@@ -48,7 +48,7 @@ class CaptureConfig(Section, frozen=True, kw_only=True):
 
     width_px: Annotated[int, Meta(ge=32, le=8192, multiple_of=4)] = 640  # GStreamer pads rows to multiples of 4
     height_px: Pixels = 480
-    rate_hz: Annotated[float, Meta(gt=0.0, le=120.0)] = 15.0  # sim: and v4l2:; csi: is told sensor_rate_hz
+    rate_hz: Annotated[float, Meta(gt=0.0, le=120.0)] = 15.0  # sim: and picture folders
     sensor_width_px: Pixels = 1920  # csi: the sensor mode, before the picture is scaled
     sensor_height_px: Pixels = 1080
     sensor_rate_hz: Annotated[int, Meta(ge=1, le=240)] = 30

@@ -28,6 +28,7 @@ from common.status import Report
 from services.jetson.camera.child import CaptureChild, CaptureLost
 from services.jetson.camera.config import CameraConfig, CaptureConfig, LensConfig
 from services.jetson.camera.frames import Frame
+from services.jetson.camera.gstreamer import advice, command, device_path
 
 log = logging.getLogger("source")
 
@@ -158,10 +159,9 @@ def _captured(url: SourceUrl, config: CaptureConfig, report: Report, stop: threa
         trouble = _obstacle(url, config)
         if trouble is None:
             try:
-                with CaptureChild(command(url, config), config.width_px, config.height_px) as child:
-                    for frame in _read(child, config, stop):
-                        pause_s = config.retry_min_s
-                        yield frame
+                for frame in _one_child(url, config, report, stop):
+                    pause_s = config.retry_min_s
+                    yield frame
                 return
             except CaptureLost as error:
                 trouble = f"{error}; {advice(url)}"
@@ -170,11 +170,18 @@ def _captured(url: SourceUrl, config: CaptureConfig, report: Report, stop: threa
         pause_s = min(2 * pause_s, config.retry_max_s)
 
 
-def _read(child: CaptureChild, config: CaptureConfig, stop: threading.Event) -> Iterator[Frame]:
+def _one_child(url: SourceUrl, config: CaptureConfig, report: Report, stop: threading.Event) -> Iterator[Frame]:
+    """Frames of one child until it is lost, which is told before the child is cleared away."""
     timeout_s = config.start_timeout_s
-    while not stop.is_set():
-        yield child.read(timeout_s)
-        timeout_s = config.frame_timeout_s
+    with CaptureChild(command(url, config), config.width_px, config.height_px) as child:
+        while not stop.is_set():
+            try:
+                frame = child.read(timeout_s)
+            except CaptureLost as error:
+                report.state("disconnected", f"{url}: {error}; {advice(url)}")
+                raise
+            yield frame
+            timeout_s = config.frame_timeout_s
 
 
 def _wait_lost(reason: str, pause_s: float, report: Report, stop: threading.Event) -> None:
@@ -187,61 +194,9 @@ def _wait_lost(reason: str, pause_s: float, report: Report, stop: threading.Even
             return
 
 
-def command(url: SourceUrl, config: CaptureConfig) -> list[str]:
-    """The child's command line, from the configuration or the built-in GStreamer pipeline.
-
-    Raises:
-        ConfigError: a placeholder that is not known.
-    """
-    template = {"csi": config.csi_command, "v4l2": config.v4l2_command}[url.scheme] or _GSTREAMER[url.scheme]
-    values = {
-        "device": url.target if url.scheme == "csi" else _device_path(url),
-        "width": config.width_px,
-        "height": config.height_px,
-        "rate": config.rate_hz,
-        "sensor_width": config.sensor_width_px,
-        "sensor_height": config.sensor_height_px,
-        "sensor_rate": config.sensor_rate_hz,
-    }
-    try:
-        return [part.format_map(values) for part in template]
-    except (KeyError, ValueError, IndexError) as error:
-        known = ", ".join(f"{{{name}}}" for name in values)
-        raise ConfigError(f"[capture] {url.scheme}_command: {error} is no placeholder; known: {known}") from None
-
-
-_RAW_BGR = "video/x-raw,format=BGR,width={width},height={height}"
-_GSTREAMER = {
-    "csi": (
-        *("gst-launch-1.0", "-q", "nvarguscamerasrc", "sensor-id={device}", "!"),
-        "video/x-raw(memory:NVMM),width={sensor_width},height={sensor_height},framerate={sensor_rate}/1",
-        *("!", "nvvidconv", "!", "video/x-raw,format=BGRx,width={width},height={height}"),
-        *("!", "videoconvert", "!", _RAW_BGR, "!", "fdsink", "fd=1", "sync=false"),
-    ),
-    "v4l2": (
-        *("gst-launch-1.0", "-q", "v4l2src", "device={device}", "!", "decodebin", "!", "videorate", "drop-only=true"),
-        *("!", "videoscale", "!", "videoconvert", "!", _RAW_BGR, "!", "fdsink", "fd=1", "sync=false"),
-    ),
-}
-
-
-def advice(url: SourceUrl) -> str:
-    """What a person may do about a camera that is lost."""
-    if url.scheme == "csi":
-        return (
-            "the capture is being restarted; if it stays away, restart the camera daemon: "
-            "sudo systemctl restart nvargus-daemon, then check the ribbon cable"
-        )
-    return f"the capture is being restarted; if it stays away, unplug and replug {_device_path(url)}"
-
-
-def _device_path(url: SourceUrl) -> str:
-    return f"/dev/video{url.target}" if url.target.isdigit() else url.target
-
-
 def _obstacle(url: SourceUrl, config: CaptureConfig) -> str | None:
     """Why an attempt is not worth it, told apart: no device, or no permission."""
-    path = Path(_device_path(url))
+    path = Path(device_path(url))
     if url.scheme != "v4l2" or config.v4l2_command:
         return None
     if not path.exists():

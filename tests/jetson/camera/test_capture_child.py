@@ -26,7 +26,8 @@ from common.status import Report
 from services.jetson.camera.child import CaptureChild, CaptureLost
 from services.jetson.camera.config import CameraConfig, CaptureConfig
 from services.jetson.camera.frames import Frame, NewestFrames
-from services.jetson.camera.source import command, open_source
+from services.jetson.camera.gstreamer import command
+from services.jetson.camera.source import open_source
 
 WIDTH, HEIGHT = 64, 48
 BUDGET_S = 30.0
@@ -126,10 +127,14 @@ def config_with(child: list[str], **capture: object) -> CameraConfig:
 
 
 def gstreamer_command() -> list[str]:
+    """The built-in command for a USB camera, with GStreamer's test picture in the place of the device."""
     if shutil.which("gst-launch-1.0") is None:
         pytest.skip("gst-launch-1.0 is not installed; the script in Python covers the same contract")
-    caps = f"video/x-raw,format=BGR,width={WIDTH},height={HEIGHT},framerate=30/1"
-    return ["gst-launch-1.0", "-q", "videotestsrc", "is-live=true", "!", caps, "!", "fdsink", "fd=1", "sync=false"]
+    capture = msgspec.structs.replace(CaptureConfig(), width_px=WIDTH, height_px=HEIGHT)
+    built_in = command(SourceUrl("v4l2", "0"), capture)
+    device = built_in.index("device=/dev/video0")
+    live = ["videotestsrc", "is-live=true", "!", "video/x-raw,width=160,height=120,framerate=30/1"]
+    return [*built_in[: device - 1], *live, *built_in[device + 1 :]]
 
 
 def test_frames_are_whole_in_order_and_stamped(place: Path) -> None:
