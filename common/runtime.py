@@ -34,6 +34,7 @@ from common.pubsub import Latest, Publisher
 from common.session import close_session, open_session
 from common.status import Report
 from common.topics import Topic
+from common.watchdog import Watchdog
 
 log = logging.getLogger("runtime")
 M = TypeVar("M", bound=Message)
@@ -109,10 +110,11 @@ class Service:
         self.closed_cleanly = close_session(self.session)
 
     def _report_status(self) -> None:
-        seq = 0
+        seq, watchdog = 0, Watchdog()
         while not self._stop.is_set():
             self.report.changed.clear()
             status = self.report.snapshot()
+            self._tell_systemd(watchdog, status)
             status.seq, status.sent_ns = seq, utc_ns()
             try:
                 self._publish_status.put(encode(status))
@@ -120,6 +122,13 @@ class Service:
                 return  # the session is closed
             seq += 1
             self.report.changed.wait(STATUS_PERIOD_S)
+
+    def _tell_systemd(self, watchdog: Watchdog, status: ServiceStatus) -> None:
+        """Ready with the first message; alive only while the main loop goes round, whatever our threads do."""
+        if status.published or status.state == "online":
+            watchdog.ready(f"{status.state} {status.reason}".strip())
+        if self.report.silent_s() < max(watchdog.limit_s / 2, 2 * STATUS_PERIOD_S):
+            watchdog.alive()
 
     def _check_rivals(self, presence: Presence) -> None:
         rivals = {i for _, _, i in presence.instances()} - {self.instance}

@@ -67,6 +67,18 @@ def zenoh_settings(config: ZenohConfig) -> dict[str, Any]:
     return settings
 
 
+def nested_settings(config: ZenohConfig) -> dict[str, Any]:
+    """The same settings as one nested mapping: what zenohd reads from a file."""
+    nested: dict[str, Any] = {}
+    for path, value in zenoh_settings(config).items():
+        *sections, last = path.split("/")
+        place = nested
+        for section in sections:
+            place = place.setdefault(section, {})
+        place[last] = {**value, **place[last]} if isinstance(place.get(last), dict) else value
+    return nested
+
+
 def build(config: ZenohConfig) -> zenoh.Config:
     """The Zenoh configuration; raises ``ConfigError`` with the setting that Zenoh refuses."""
     built = zenoh.Config()

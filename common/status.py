@@ -34,9 +34,19 @@ class Report:
         self._stage_ms: dict[str, float] = {}
         self._publish_times_s: deque[float] = deque()
         self._last_frame_s: float | None = None
+        self._progress_s = monotonic_s()
+
+    def beat(self) -> None:
+        """The main loop goes round. Everything that a source or a pipeline reports counts as well."""
+        self._progress_s = monotonic_s()
+
+    def silent_s(self) -> float:
+        """How long the main loop has not been heard of: a process whose threads live may still be stuck."""
+        return monotonic_s() - self._progress_s
 
     def state(self, state: ServiceState, reason: str = "") -> None:
         """Set the state; ``reason`` is a sentence for a person, empty only when online."""
+        self.beat()
         with self._lock:
             if (state, reason) != (self._state, self._reason):
                 self._state, self._reason = state, reason
@@ -51,6 +61,7 @@ class Report:
 
     def bad_input(self, name: str, count: int = 1) -> None:
         """Count input that was rejected, under a short name of what was wrong with it."""
+        self.beat()
         if count:
             with self._lock:
                 self._bad_input += count
@@ -74,6 +85,7 @@ class Report:
 
     def published(self, message: object, *, primary: bool) -> None:
         """Called by the publisher after each put; ``primary`` marks the topic that others decide on."""
+        self.beat()
         now_s = monotonic_s()
         with self._lock:
             self._published += 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from common.cli.demo import demo
+from common.cli.keys import keys
 from common.cli.look import echo, health, hz, ls
 from common.cli.record import record
 from common.cli.replay import replay
@@ -20,6 +21,7 @@ app = typer.Typer(
 )
 for command in (demo, up, router, ls, echo, hz, health, record, replay):
     app.command()(command)
+app.add_typer(keys, name="keys")
 
 
 def main() -> None:

@@ -1,9 +1,14 @@
-"""How a command of `spotter` reaches the bus: ``--connect``, ``--namespace``, or SPOTTER_CONNECT, SPOTTER_NAMESPACE."""
+"""How a command of `spotter` reaches the bus: ``--connect``, ``--namespace``, or SPOTTER_CONNECT, SPOTTER_NAMESPACE.
+
+A laptop at a router with TLS also sets SPOTTER_CERTIFICATE.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -11,6 +16,7 @@ import zenoh
 
 from common.cli.fail import fail
 from common.config import ConfigError, ZenohConfig
+from common.security.router import with_certificate
 from common.session import close_session, init_zenoh_log, open_session
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -29,8 +35,8 @@ AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line, fo
 def bus(connect: str, namespace: str) -> Iterator[zenoh.Session]:
     """A client session for a command; ends the program with one line when nobody answers."""
     init_zenoh_log(None)
-    config = ZenohConfig(connect=tuple(connect.split(",")), namespace=namespace)
     try:
+        config = _certified(ZenohConfig(connect=tuple(connect.split(",")), namespace=namespace))
         session = open_session(config, give_up_after_s=GIVE_UP_AFTER_S)
     except (ConnectionError, ConfigError) as error:
         fail(str(error))
@@ -38,3 +44,9 @@ def bus(connect: str, namespace: str) -> Iterator[zenoh.Session]:
         yield session
     finally:
         close_session(session)
+
+
+def _certified(config: ZenohConfig) -> ZenohConfig:
+    """SPOTTER_CERTIFICATE=keys/laptop1.crt; the key and ``ca.crt`` are beside it. Nothing in the open mode."""
+    path = os.environ.get("SPOTTER_CERTIFICATE", "")
+    return with_certificate(config, Path(path).parent, Path(path).stem) if path else config

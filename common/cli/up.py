@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -9,8 +10,9 @@ import typer
 
 from common.cli.connect import Namespace
 from common.cli.fail import fail
+from common.cli.site_option import SiteFile, read_site
 from common.config import ConfigError
-from common.hosts import Plan, children, parse_settings, services_of
+from common.hosts import Plan, children, parse_settings, plan_of, services_of
 from common.launch import setup_logging
 from common.supervisor import Supervisor, run_supervised
 from common.topics import ServiceRow
@@ -29,25 +31,34 @@ def up(
         list[str] | None, typer.Option("--set", help="SERVICE.section.key=value, e.g. radar.cfar.threshold_db=14.")
     ] = None,
     sim: Annotated[str, typer.Option("--sim", help="Feed every sensor from this simulated scenario.")] = "",
+    site_file: SiteFile = None,
     namespace: Namespace = "spotter",
 ) -> None:
     """Start this host's router and services, restart what dies, stop all of them on Ctrl-C."""
     setup_logging("up")
     try:
-        rows = services_of(host)
-        plan = Plan(
-            listen=tuple(listen or Plan.listen),
-            link=tuple(link or ()),
-            namespace=namespace,
+        if site_file is not None:
+            rows, plan = _of_site(host, site_file)
+        else:
+            rows = services_of(host)
+            plan = Plan(listen=tuple(listen or Plan.listen), link=tuple(link or ()), namespace=namespace)
+        more = parse_settings(overrides or [])
+        plan = replace(
+            plan,
             config_dir=config_dir,
-            sources=sim_sources(rows, sim),
-            settings=parse_settings(overrides or []),
+            sources={**plan.sources, **sim_sources(rows, sim)},
+            settings={row.name: (*plan.settings.get(row.name, ()), *more.get(row.name, ())) for row in rows},
         )
     except ConfigError as error:
         fail(str(error), code=2)
     if config_dir is not None and not config_dir.is_dir():
         fail(f"--config-dir {config_dir}: no such folder", code=2)
     raise SystemExit(run_supervised(Supervisor(children(rows, plan))))
+
+
+def _of_site(host: str, site_file: Path) -> tuple[list[ServiceRow], Plan]:
+    site, _ = read_site(site_file)
+    return site.rows(host), plan_of(site, host, site_file)
 
 
 def sim_sources(rows: list[ServiceRow], scenario: str) -> dict[str, str]:

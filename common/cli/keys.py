@@ -1,0 +1,121 @@
+"""`spotter keys init | host | laptop | revoke | list | bundle`: the site's authority and its certificates."""
+
+from __future__ import annotations
+
+import tarfile
+from pathlib import Path
+from types import ModuleType
+from typing import Annotated
+
+import typer
+
+from common.cli.fail import fail
+from common.cli.site_option import SiteFile, read_site
+from common.config import ConfigError
+from common.security.names import FILE, read_names
+from common.site import Site
+
+keys = typer.Typer(help="Certificates of the site: who may connect, and as whom.", no_args_is_help=True)
+NameArgument = Annotated[str, typer.Argument(help="A host of site.toml, or a laptop's name.")]
+Days = Annotated[int | None, typer.Option("--days", min=1, max=3650, help="Lifetime; host 730, laptop 365.")]
+
+
+@keys.command()
+def init(site_file: SiteFile = None) -> None:
+    """Make the site's authority. Its key never leaves this machine."""
+    site, folder = read_site(site_file)
+    authority = _authority()
+    try:
+        path = authority.init(folder, site.namespace)
+    except ConfigError as error:
+        fail(str(error))
+    print(f"{path}: the site's authority; keep {path.with_suffix('.key')} here and safe")
+
+
+@keys.command()
+def host(name: NameArgument, site_file: SiteFile = None, days: Days = None) -> None:
+    """Issue the certificate of a host in site.toml."""
+    site, folder = read_site(site_file)
+    try:
+        own = site.host(name)
+        path = _authority().issue(folder, name, "host", tuple(filter(None, (own.address, own.listen))), days)
+    except ConfigError as error:
+        fail(str(error))
+    _issued(folder, name, path, f"copy it to {name} with `spotter keys bundle {name}`", site)
+
+
+@keys.command()
+def laptop(name: NameArgument, site_file: SiteFile = None, days: Days = None) -> None:
+    """Issue a certificate for a laptop: it may listen and ask, never speak."""
+    site, folder = read_site(site_file)
+    if name in site.hosts:
+        fail(f"{name!r} is a host of the site; a laptop needs a name of its own")
+    try:
+        path = _authority().issue(folder, name, "laptop", (), days)
+    except ConfigError as error:
+        fail(str(error))
+    _issued(folder, name, path, f"on the laptop: SPOTTER_CERTIFICATE=keys/{path.name}", site)
+
+
+@keys.command()
+def revoke(name: NameArgument, site_file: SiteFile = None) -> None:
+    """Take a name out of every allow list; the routers follow when they are restarted."""
+    site, folder = read_site(site_file)
+    try:
+        gone = _authority().revoke(folder, name)
+    except ConfigError as error:
+        fail(str(error))
+    print(f"{gone} is revoked: no router will listen to it any more")
+    _tell_restart(folder, site)
+
+
+@keys.command("list")
+def list_names(site_file: SiteFile = None) -> None:
+    """Who has a certificate, until when, and who is revoked."""
+    _, folder = read_site(site_file)
+    for name, entry in read_names(folder).names.items():
+        state = "allowed" if entry.allowed(name) else "revoked"
+        print(f"{name:<16} {entry.kind:<7} {state:<8} CN={entry.common_name(name):<16} until {entry.expires}")
+
+
+@keys.command()
+def bundle(
+    name: NameArgument,
+    site_file: SiteFile = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Default NAME.tar here.")] = None,
+) -> None:
+    """Pack what one host or laptop needs: site.toml, its key pair, the authority's certificate, the names."""
+    site, folder = read_site(site_file)
+    target = out or Path(f"{name}.tar")
+    wanted = [folder / "ca.crt", folder / FILE, folder / f"{name}.crt", folder / f"{name}.key"]
+    missing = [str(path) for path in wanted if not path.exists()]
+    if missing:
+        fail(f"not there: {', '.join(missing)}; run `spotter keys host {name}` first")
+    target.touch(mode=0o600)
+    target.chmod(0o600)
+    with tarfile.open(target, "w") as archive:
+        for path in wanted:
+            archive.add(path, f"{site.tls.keys}/{path.name}")
+        if site_file is not None:
+            archive.add(site_file, "site.toml")
+    print(f"{target}: unpack it on {name} in /etc/spotter; it holds a private key")
+
+
+def _authority() -> ModuleType:
+    """The module that needs the `keys` extra, which hosts do without."""
+    try:
+        from common.security import authority
+    except ImportError:
+        fail('certificates are made where `spotter[keys]` is installed: uv pip install -c constraints.txt ".[keys]"')
+    return authority
+
+
+def _issued(folder: Path, name: str, path: Path, then: str, site: Site) -> None:
+    entry = read_names(folder).names[name]
+    print(f"{path}: CN={entry.common_name(name)}, until {entry.expires}; {then}")
+    _tell_restart(folder, site)
+
+
+def _tell_restart(folder: Path, site: Site) -> None:
+    routers = ", ".join(site.hosts)
+    print(f"now copy {folder / FILE} to every host and restart the routers of {routers}")

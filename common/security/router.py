@@ -1,0 +1,89 @@
+"""The Zenoh configuration of a host's router and of a laptop, from the site and its certificates."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from msgspec.structs import replace
+
+from common.config import ConfigError, ZenohConfig
+from common.security.names import read_names
+from common.security.rules import access_rules
+from common.site import HostConfig, Site
+
+URGENT, BULK = "prio=1-5", "prio=6-7"  # Zenoh priorities: data_low and background are bulk
+
+
+def router_config(site: Site, host: str, keys: Path) -> ZenohConfig:
+    """A router that serves this host's services on loopback and links to the routers of the other hosts.
+
+    Each pair of routers is linked once, dialled by the one that the site names later: the other end waits.
+
+    Raises:
+        ConfigError: no such host, or its certificate is missing.
+    """
+    own = site.host(host)
+    earlier = list(site.hosts)[: list(site.hosts).index(host)]
+    listen = (own.loopback, *_listeners(site, own))
+    connect = tuple(endpoint for name in earlier for endpoint in _endpoints(site, site.host(name), own))
+    extra: dict[str, Any] = {
+        "transport/unicast/max_links": 2,
+        "listen/timeout_ms": -1,  # an address that is not there yet at boot is bound when it comes
+        "listen/exit_on_failure": False,
+    }
+    if not site.tls.enabled:
+        return ZenohConfig(mode="router", namespace="", listen=listen, connect=connect, extra=extra)
+    extra["access_control"] = access_rules(site, host, read_names(keys))
+    extra["transport/link/tls/close_link_on_expiration"] = True
+    return with_certificate(
+        ZenohConfig(mode="router", namespace="", listen=listen, connect=connect, extra=extra), keys, host
+    )
+
+
+def laptop_config(site: Site, name: str, keys: Path, host: str) -> ZenohConfig:
+    """A client of ``host``'s router under a laptop's certificate.
+
+    Raises:
+        ConfigError: no such host, or the certificate is missing.
+    """
+    config = ZenohConfig(namespace=site.namespace, connect=(site.endpoint(host),))
+    return with_certificate(config, keys, name) if site.tls.enabled else config
+
+
+def with_certificate(config: ZenohConfig, keys: Path, name: str) -> ZenohConfig:
+    """The same session under the certificate of a name.
+
+    Raises:
+        ConfigError: a file is missing or unreadable, and what to do.
+    """
+    files = {
+        "ca_certificate": keys / "ca.crt",
+        "certificate": keys / f"{name}.crt",
+        "private_key": keys / f"{name}.key",
+    }
+    for path in files.values():
+        try:
+            path.open("rb").close()
+        except OSError as error:
+            raise ConfigError(
+                f"{path}: {error.strerror}; make it with `spotter keys`, or set [tls] enabled = false in site.toml "
+                "to let everybody in"
+            ) from None
+    return replace(config, **{key: str(path) for key, path in files.items()})
+
+
+def _listeners(site: Site, host: HostConfig) -> list[str]:
+    where, protocol = host.listen or host.address, "tls" if site.tls.enabled else "tcp"
+    listeners = [f"{protocol}/{where}:{host.port}"]
+    if host.bulk_port:
+        listeners.append(f"{protocol}/{where}:{host.bulk_port}?{BULK}")
+    return listeners
+
+
+def _endpoints(site: Site, host: HostConfig, own: HostConfig) -> list[str]:
+    protocol = "tls" if site.tls.enabled else "tcp"
+    endpoints = [f"{protocol}/{host.address}:{host.port}"]
+    if host.bulk_port and own.bulk_port:
+        endpoints.append(f"{protocol}/{host.address}:{host.bulk_port}?{BULK}")
+    return endpoints

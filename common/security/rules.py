@@ -1,0 +1,89 @@
+"""Zenoh access rules of one host's router, made from the site and the topics table.
+
+Three kinds of neighbours, each with the least it needs; whatever no rule allows is dropped.
+
+- this host's own services, over plain TCP on loopback: may speak as the services that the site puts on this host;
+- the router of another host, known by its certificate: may pass on what that host's services say, and is told only
+  what this host's services say, so nobody relays for a third;
+- laptops, known by their certificates: may listen and ask.
+
+Rules see the neighbour, not the author: that is why a host's keys begin with its name, and why each host has its own
+certificate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from common.security.names import Names
+from common.site import Site
+from common.topics import DATA_TOPICS
+
+SPEAK = ["put", "reply", "liveliness_token", "declare_queryable"]
+LISTEN = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"]
+SHADOW = "shadow"  # a candidate under comparison speaks below this chunk, heard on its own host only
+
+
+def access_rules(site: Site, host: str, names: Names) -> dict[str, Any]:
+    """The ``access_control`` section of the Zenoh configuration of ``host``'s router."""
+    everything = [f"{site.namespace}/**"]
+    own = spoken_keys(site, host)
+    rules = [
+        _rule("local speaks", SPEAK, own + spoken_keys(site, host, f"{SHADOW}/"), "ingress"),
+        _rule("anyone listens", LISTEN, everything, "ingress"),
+        _rule("neighbours are asked", LISTEN, everything, "egress"),
+        _rule("local hears everything", SPEAK, everything, "egress"),
+        _rule("hosts hear this host", SPEAK, own, "egress"),
+        _rule(
+            "laptops hear the site", SPEAK, [key for name in site.hosts for key in spoken_keys(site, name)], "egress"
+        ),
+    ]
+    subjects: list[dict[str, Any]] = [{"id": "local", "interfaces": ["lo"], "link_protocols": ["tcp"]}]
+    policies = [
+        _policy("local", "local speaks", "anyone listens", "neighbours are asked", "local hears everything"),
+    ]
+    for name, common_name in names.allowed("host").items():
+        if name == host or name not in site.hosts:
+            continue
+        speaks = f"{name} speaks"
+        spoken = spoken_keys(site, name)
+        if spoken:
+            rules.append(_rule(speaks, SPEAK, spoken, "ingress"))
+        subjects.append({"id": name, "cert_common_names": [common_name]})
+        allowed = [speaks] if spoken else []
+        policies.append(_policy(name, *allowed, "anyone listens", "neighbours are asked", "hosts hear this host"))
+    laptops = sorted(names.allowed("laptop").values())
+    if laptops:
+        subjects.append({"id": "laptops", "cert_common_names": laptops})
+        policies.append(_policy("laptops", "anyone listens", "laptops hear the site"))
+    rules = [rule for rule in rules if rule["key_exprs"]]
+    known = {rule["id"] for rule in rules}
+    for policy in policies:
+        policy["rules"] = [rule for rule in policy["rules"] if rule in known]
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def spoken_keys(site: Site, host: str, prefix: str = "") -> list[str]:
+    """Every key that the services of ``host`` publish, answer or hold a token on, below ``prefix``."""
+    base = f"{site.namespace}/{prefix}{host}"
+    return [f"{base}/{service}/{last}" for service in site.host(host).services for last in _lasts(service)]
+
+
+def _lasts(service: str) -> Iterable[str]:
+    yield from (topic.product for topic in DATA_TOPICS if topic.service == service)
+    yield from ("status", "info", "clock", "alive/*")
+
+
+def _rule(name: str, messages: list[str], keys: list[str], flow: str) -> dict[str, Any]:
+    return {"id": name, "messages": messages, "flows": [flow], "permission": "allow", "key_exprs": keys}
+
+
+def _policy(subject: str, *rules: str) -> dict[str, Any]:
+    return {"id": subject, "subjects": [subject], "rules": list(rules)}

@@ -1,0 +1,120 @@
+"""site.toml: which hosts there are, where they are reached and what they run. Everything else is derived from it.
+
+The default is the whole system on one machine: three routers on loopback, each with ports of its own.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from common.config import ConfigError, Section, load
+from common.topics import OPTIONAL_SERVICES, SERVICES, ServiceRow, service_row
+
+DEFAULT_FILE = Path("site.toml")
+Port = Annotated[int, Meta(ge=1, le=65535)]
+Chunk = Annotated[str, Meta(pattern=r"^[a-z0-9_]+$")]  # one chunk of a key: no `/`, `*`, `@` or space
+
+
+class TlsConfig(Section, frozen=True, kw_only=True):
+    """``enabled = false`` is the open mode: whoever reaches a port may say anything. It warns at each start."""
+
+    enabled: bool = True
+    keys: str = "keys"  # folder with the certificates, relative to site.toml
+
+
+class ServicePlace(Section, frozen=True, kw_only=True):
+    """How a host runs one service. All empty: the service's own defaults."""
+
+    source: str = ""  # e.g. "spi:0.0", "serial:/dev/ttyTHS1", "sim:crossing"
+    config: str = ""  # TOML file of the service, relative to site.toml
+    command: str = ""  # another program that keeps the contract, instead of ours
+    set: tuple[str, ...] = ()  # further "section.key=value"
+
+
+class HostConfig(Section, frozen=True, kw_only=True):
+    """One computer. ``address`` is what the others dial: an IP address or a name."""
+
+    address: str = "127.0.0.1"
+    port: Port = 7448  # the other hosts' routers and laptops; TLS
+    bulk_port: Annotated[int, Meta(ge=0, le=65535)] = 0  # between routers: clouds and images on a link of their own
+    local_port: Port = 7447  # this host's own services, plain TCP on loopback only
+    listen: str = ""  # where to bind, if not on ``address``
+    services: dict[Chunk, ServicePlace] = msgspec.field(default_factory=dict)
+
+    @property
+    def loopback(self) -> str:
+        return f"tcp/127.0.0.1:{self.local_port}"
+
+
+def _one_machine() -> dict[str, HostConfig]:
+    ports = {"pi0": 7457, "jetson0": 7447, "infra0": 7467}
+    hosts = {}
+    for host, port in ports.items():
+        services = {row.name: ServicePlace() for row in SERVICES if row.host == host}
+        hosts[host] = HostConfig(local_port=port, port=port + 1, bulk_port=port + 2, services=services)
+    return hosts
+
+
+class Site(Section, frozen=True, kw_only=True):
+    """The whole site."""
+
+    namespace: Chunk = "spotter"
+    tls: TlsConfig = TlsConfig()
+    hosts: dict[Chunk, HostConfig] = msgspec.field(default_factory=_one_machine)
+
+    def __post_init__(self) -> None:
+        places: dict[tuple[str, int], str] = {}
+        for name, host in self.hosts.items():
+            for service in host.services:
+                try:
+                    service_row(service)
+                except KeyError as error:
+                    raise ValueError(f"[hosts.{name}.services.{service}]: {error.args[0]}") from None
+            for key, port in (("port", host.port), ("local_port", host.local_port), ("bulk_port", host.bulk_port)):
+                address = "127.0.0.1" if key == "local_port" else host.address
+                taken = places.setdefault((address, port), f"[hosts.{name}] {key}") if port else ""
+                loopback_of_two = key == "local_port" and not self._on_this_machine_too(name)
+                if taken and taken != f"[hosts.{name}] {key}" and not loopback_of_two:
+                    raise ValueError(f"[hosts.{name}] {key} = {port}: already used by {taken} on {address}")
+
+    def _on_this_machine_too(self, name: str) -> bool:
+        """Another host has the same address, so they share one loopback."""
+        return sum(host.address == self.hosts[name].address for host in self.hosts.values()) > 1
+
+    def host(self, name: str) -> HostConfig:
+        """Raises ``ConfigError`` with the known names."""
+        if name not in self.hosts:
+            raise ConfigError(f"site: no host {name!r}; known: {', '.join(self.hosts) or 'none'}")
+        return self.hosts[name]
+
+    def host_of(self, service: str) -> str | None:
+        """The first host that runs this service, or None."""
+        return next((name for name, host in self.hosts.items() if service in host.services), None)
+
+    def rows(self, name: str) -> list[ServiceRow]:
+        """The services of a host, in the order of the topics table, each with this host's name."""
+        wanted = self.host(name).services
+        return [ServiceRow(row.name, name, row.extra) for row in (*SERVICES, *OPTIONAL_SERVICES) if row.name in wanted]
+
+    def endpoint(self, name: str) -> str:
+        """Where another host or a laptop reaches this host's router."""
+        host = self.host(name)
+        return f"{'tls' if self.tls.enabled else 'tcp'}/{host.address}:{host.port}"
+
+
+def load_site(path: Path | None) -> Site:
+    """The file, or the default site without one.
+
+    Raises:
+        ConfigError: unreadable, unknown key or service, wrong value, one port twice.
+    """
+    return load(Site, path)
+
+
+def keys_folder(site: Site, path: Path | None) -> Path:
+    """The folder of the certificates; a relative one is beside site.toml."""
+    return (path.parent if path else Path()) / site.tls.keys

@@ -1,0 +1,40 @@
+"""Telling systemd how we are: the datagram protocol of sd_notify(3), without a library.
+
+Does nothing unless systemd (or podman) started us with NOTIFY_SOCKET.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+
+
+class Watchdog:
+    """``ready`` once, then ``alive`` only while the work makes progress: silence means restart me."""
+
+    def __init__(self) -> None:
+        self._address = os.environ.get("NOTIFY_SOCKET", "")
+        self._ready = False
+
+    @property
+    def limit_s(self) -> float:
+        """How long systemd lets us be silent (WATCHDOG_USEC); 0 = it does not watch."""
+        return int(os.environ.get("WATCHDOG_USEC", "0")) * 1e-6
+
+    def ready(self, status: str = "") -> None:
+        """The start is over. Further calls only change the status line."""
+        self._send(f"STATUS={status}" if self._ready else f"READY=1\nSTATUS={status}")
+        self._ready = True
+
+    def alive(self) -> None:
+        self._send("WATCHDOG=1")
+
+    def _send(self, text: str) -> None:
+        if not self._address:
+            return
+        address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+            try:
+                sender.sendto(text.encode(), address)
+            except OSError:
+                return  # nobody listens any more: nothing to tell

@@ -1,0 +1,101 @@
+"""site.toml: the default, the shipped file, and every way to get it wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from common.config import ConfigError
+from common.hosts import children, plan_of, whereabouts
+from common.site import HostConfig, ServicePlace, Site, keys_folder, load_site
+from common.topics import SERVICES
+
+SHIPPED = Path(__file__).parents[2] / "compose" / "site.toml"
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "site.toml"
+    path.write_text(text)
+    return path
+
+
+def test_the_default_runs_every_service_where_the_topics_table_says() -> None:
+    site = Site()
+    assert {(row.name, host) for host in site.hosts for row in site.rows(host)} == {
+        (row.name, row.host) for row in SERVICES
+    }
+    assert site.tls.enabled
+
+
+def test_the_shipped_file_is_the_default() -> None:
+    assert load_site(SHIPPED) == Site()
+
+
+def test_a_host_with_one_service_takes_it_from_the_file(tmp_path: Path) -> None:
+    path = written(
+        tmp_path,
+        """
+        namespace = "yard"
+        [hosts.truck]
+        address = "10.0.0.2"
+        [hosts.truck.services.radar]
+        source = "spi:0.0"
+        set = ["cfar.threshold_db=14"]
+        """,
+    )
+    site = load_site(path)
+    plan = plan_of(site, "truck", path)
+    router, radar = children(site.rows("truck"), plan)
+    assert router.command[1:] == ["router", "--host", "truck", "--site", str(path)]
+    assert radar.command[-2:] == ["--source", "spi:0.0"]
+    assert {"host=truck", "zenoh.namespace=yard", "cfar.threshold_db=14"} <= set(radar.command)
+    assert site.endpoint("truck") == "tls/10.0.0.2:7448"
+    assert keys_folder(site, path) == tmp_path / "keys"
+
+
+def test_a_program_of_somebody_else_is_told_where_it_is(tmp_path: Path) -> None:
+    place = ServicePlace(command="/opt/their-radar --fast")
+    site = Site(hosts={"pi0": HostConfig(services={"radar": place})})
+    _, radar = children(site.rows("pi0"), plan_of(site, "pi0", None))
+    assert radar.command == ["/opt/their-radar", "--fast"]
+    assert radar.environment is not None
+    assert radar.environment["SPOTTER_HOST"] == "pi0"
+    assert radar.environment["SPOTTER_CONNECT"] == "tcp/127.0.0.1:7447"
+
+
+def test_fusion_and_dashboard_are_told_where_the_others_run() -> None:
+    moved = {"north": HostConfig(services={"radar": ServicePlace(), "fusion": ServicePlace()})}
+    site = Site(hosts=moved)
+    assert whereabouts(site, "fusion") == ("sensors.radar.host=north",)
+    assert whereabouts(site, "dashboard") == ("fusion_host=north",)
+    assert whereabouts(site, "radar") == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[host.pi0]\n", "did you mean 'hosts'"),
+        ("[hosts.pi0]\nadress = '1.2.3.4'\n", "did you mean 'address'"),
+        ("[hosts.pi0.services.rader]\n", "no service 'rader'"),
+        ("[hosts.'Pi 0']\n", "Pi 0"),
+        ("[hosts.pi0]\nport = 7448\nbulk_port = 7448\n", "already used by"),
+        ("[hosts.pi0]\nport = 70000\n", "<= 65535"),
+        ("[hosts.a]\nport = 1\nlocal_port = 5\n[hosts.b]\nport = 2\nlocal_port = 5\n", "local_port = 5: already used"),
+        ("[tls]\nenable = false\n", "did you mean 'enabled'"),
+    ],
+    ids=["section", "key", "service", "host name", "port twice", "port range", "one loopback", "tls"],
+)
+def test_a_wrong_file_is_refused_with_the_reason(tmp_path: Path, text: str, told: str) -> None:
+    with pytest.raises(ConfigError, match=r".") as refused:
+        load_site(written(tmp_path, text))
+    assert told in str(refused.value)
+
+
+def test_two_computers_may_use_the_same_ports(tmp_path: Path) -> None:
+    load_site(written(tmp_path, "[hosts.a]\naddress = '10.0.0.1'\n[hosts.b]\naddress = '10.0.0.2'\n"))
+
+
+def test_an_unknown_host_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match="known: pi0, jetson0, infra0"):
+        Site().host("pi1")
