@@ -145,7 +145,8 @@ class Ld06Parser:
         faults = self._implausible(records)
         good = sums_match & ~np.any(list(faults.values()), axis=0)
         accepted = _without_overlap(heads, good)
-        self._count(heads, heads[accepted], sums_match, faults)
+        if len(accepted) < len(heads):
+            self._count(heads, heads[accepted], sums_match, faults)
         return records[accepted], heads[accepted]
 
     def _implausible(self, records: np.ndarray) -> dict[str, np.ndarray]:
@@ -168,9 +169,10 @@ class Ld06Parser:
         if len(accepted):
             outside |= heads >= accepted[before] + PACKET_BYTES
         self.counters["crc"] += int(np.count_nonzero(outside & ~sums_match))
-        for name, fault in faults.items():
-            if fault.any():
-                self.counters[name] += int(np.count_nonzero(outside & sums_match & fault))
+        open_cases = outside & sums_match
+        for name, fault in faults.items():  # one packet, one fault
+            self.counters[name] += int(np.count_nonzero(open_cases & fault))
+            open_cases &= ~fault
 
     def _keep_tail(self, buffer: bytes, done: int) -> int:
         """Keep what may still become a packet, at most 46 bytes; return how many bytes are done with."""

@@ -1,0 +1,152 @@
+"""Bytes in, zones out: against the simulated world's truth, and on a real drive."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from common.codec import decode, encode
+from common.messages import LEVELS, LaserScan, LidarZones
+from common.sim import ld06
+from common.sim.truth import LIDAR_BANDS_M, band, lidar_zones
+from common.sim.world import SCENARIOS, world_at
+from common.status import Report
+from services.jetson.lidar.__main__ import plot_as_command
+from services.jetson.lidar.config import LidarConfig, PersistenceSection
+from services.jetson.lidar.decoder import ScanDecoder
+from services.jetson.lidar.parser import PACKET_BYTES
+from services.jetson.lidar.pipeline import LidarPipeline
+from services.jetson.lidar.plot import draw
+
+START_NS = 1_800_000_000_000_000_000
+BYTE_S = 8e-3 / 3 / PACKET_BYTES
+
+
+def replay(data: bytes, pipeline: LidarPipeline | None = None) -> list[tuple[float, LidarZones, LaserScan]]:
+    """(seconds since the start, zones, scan) for each turn in the bytes."""
+    decoder, pipeline = ScanDecoder(LidarConfig(), Report("test")), pipeline or LidarPipeline(LidarConfig())
+    seen = []
+    for at in range(0, len(data), 8 * PACKET_BYTES):
+        piece = data[at : at + 8 * PACKET_BYTES]
+        arrival_s = (at + len(piece)) * BYTE_S
+        for scan in decoder.feed(START_NS + int(arrival_s * 1e9), arrival_s, piece):
+            zones = pipeline.process(scan.stamp_ns, scan)
+            seen.append(((scan.stamp_ns - START_NS) * 1e-9, zones, scan))
+    return seen
+
+
+def test_crossing_agrees_with_the_truth() -> None:
+    """Our lanes are wider than the truth's strips, so nothing is seen later, and what is reported is there."""
+    length_s = SCENARIOS["crossing"].length_s
+    truth = [lidar_zones(world_at("crossing", t)).nearest_m for t in np.arange(0.0, length_s, 0.25)]
+    seen = replay(ld06.packets("crossing", 0.0, length_s))
+    for at_s, zones, _ in seen:
+        assert zones.state == "online"
+        # What has held for more than half a second has to be said: 3 scans to raise, 1 turn to sweep
+        held = [band(nearest, LIDAR_BANDS_M) for nearest in truth[max(0, int(at_s * 4) - 2) : int(at_s * 4) + 1]]
+        if at_s > 0.8:
+            assert LEVELS.index(zones.level) >= min(LEVELS.index(level) for level in held), at_s
+    assert {zones.level for _, zones, _ in seen} == set(LEVELS)
+    standing = [zones for at_s, zones, _ in seen if 5.5 < at_s < 6.4]
+    nearest = [min(z.nearest_m for z in (o.left, o.centre, o.right) if z.nearest_m is not None) for o in standing]
+    assert np.median(nearest) <= truth[24] + 0.03
+
+
+def test_a_turn_is_published_by_the_packet_that_closes_it() -> None:
+    decoder = ScanDecoder(LidarConfig(), Report("test"))
+    data = ld06.packets("crossing", 0.0, 1.0)
+    for number, at in enumerate(range(0, len(data), PACKET_BYTES)):
+        last_packet = data[at : at + PACKET_BYTES]
+        decoder.wanted_bytes()
+        for scan in decoder.feed(START_NS + int(number * 8e6 / 3), 0.0, last_packet):
+            # The newest return is less than one packet old when the packet is there
+            assert 0 <= START_NS + int(number * 8e6 / 3) - scan.stamp_ns < 4_000_000
+
+
+def test_zones_travel(scan_of: Callable[..., LaserScan]) -> None:
+    pipeline = LidarPipeline(LidarConfig())
+    zones = [pipeline.process(n * 10**8 + START_NS, scan_of([(0.5, -0.1, 0.1)], 3.0)) for n in range(4)][-1]
+    assert decode(encode(zones), LidarZones) == zones
+    assert (zones.level, zones.raw_level, zones.frame_id) == ("IMMINENT", "IMMINENT", "lidar")
+    assert zones.scan_hz == pytest.approx(10.0)
+    assert zones.centre.points > 10
+    assert zones.layout is not None
+    assert zones.layout.centre_width_m == LidarConfig().zones.centre_width_m
+
+
+def test_raw_level_flickers_and_level_does_not(scan_of: Callable[..., LaserScan]) -> None:
+    pipeline = LidarPipeline(LidarConfig())
+    told = []
+    for number in range(12):
+        things = [(0.5, -0.1, 0.1)] if number % 2 else []
+        told.append(pipeline.process(START_NS + number * 10**8, scan_of(things, 2.5)))
+    assert [zones.raw_level for zones in told] == ["SAFE", "IMMINENT"] * 6
+    assert {zones.level for zones in told} == {"SAFE"}
+    # The distance that goes with SAFE is the wall's, never the ghost's
+    assert {zones.centre.nearest_m for zones in told[3:]} == {2.497}  # the round wall's nearest x in the lane
+
+
+def test_a_real_drive_replayed_as_an_ld06(hokuyo_mm: np.ndarray) -> None:
+    """A Hokuyo in a room: 240 degrees, up to 5.6 m. Zones are where its own ranges say."""
+    degrees = np.arange(450) * 0.8
+    beam = np.round(((-degrees + 180.0) % 360.0 - 180.0 + 120.0) / 240.0 * 682).astype(int)
+    there = (beam >= 0) & (beam < 683)
+    turns = [np.where(there, row[np.clip(beam, 0, 682)], 0) for row in hokuyo_mm]
+    mm = np.concatenate(turns)[: len(turns) * 450 // 12 * 12]
+    data = ld06.encode(np.arange(len(mm)) * 0.8, mm, np.where(mm > 0, 200, 0))
+    seen = replay(data)
+    assert len(seen) == 755
+    assert Counter(zones.state for _, zones, _ in seen)["online"] > 745
+    levels = Counter(zones.level for _, zones, _ in seen)
+    assert min(levels.values()) > 50
+    assert len(levels) == 3
+    # Without persistence, each distance is one that this very turn's own ranges show
+    off = LidarConfig(persistence=PersistenceSection(raise_scans=1, clear_scans=1))
+    near = 0
+    for _, zones, scan in replay(data, LidarPipeline(off)):
+        ahead, aside = scan.ranges_m * np.cos(scan.angles_rad), scan.ranges_m * np.sin(scan.angles_rad)
+        centre = ahead[(np.abs(aside) <= 0.126) & (ahead > 0.18)]
+        if zones.centre.points:
+            near += 1
+            assert np.abs(centre - zones.centre.nearest_m).min() < 0.002
+    assert near > 300
+
+
+def test_picture_shows_lanes_returns_and_words(scan_of: Callable[..., LaserScan]) -> None:
+    pipeline, config = LidarPipeline(LidarConfig()), LidarConfig()
+    scan = scan_of([(0.5, 0.14, 0.3)], 2.5)
+    for number in range(4):
+        zones = pipeline.process(START_NS + number * 10**8, scan)
+    picture = draw(scan, pipeline.fate, zones, config)
+    red = np.argwhere((np.abs(picture[110:].astype(int) - (50, 50, 220)) < 30).all(axis=2))
+    middle = picture.shape[1] / 2
+    assert (zones.left.level, zones.right.level) == ("IMMINENT", "SAFE")
+    assert np.count_nonzero(red[:, 1] < middle) > np.count_nonzero(red[:, 1] > middle)  # left is left here too
+
+
+def test_plot_option_is_the_plot_command() -> None:
+    assert plot_as_command(["--plot", "a.png", "--source", "sim:empty"]) == ["--source", "sim:empty", "plot", "a.png"]
+    assert plot_as_command(["--show-config"]) == ["--show-config"]
+
+
+@pytest.mark.slow
+def test_plot_writes_a_picture(tmp_path: Path, stream_of: Callable[..., bytes]) -> None:
+    recording, picture = tmp_path / "room.ld06", tmp_path / "out.png"
+    recording.write_bytes(stream_of(lambda angle, _: np.full_like(angle, 1.5), turns=5))
+    command = [
+        sys.executable,
+        "-m",
+        "services.jetson.lidar",
+        "--plot",
+        str(picture),
+        "--source",
+        f"file:{recording}?rate=0",
+    ]
+    subprocess.run(command, check=True, timeout=60)
+    assert picture.read_bytes().startswith(b"\x89PNG")
