@@ -7,7 +7,7 @@ falls from chirp to chirp: negative Doppler frequency in the positive half of th
 Receivers: RX1 and RX3 2.5 mm apart on y, RX2 2.5 mm above RX3. A target at the left (positive azimuth) is farther from
 RX3 than from RX1, so azimuth = asin(lambda (phase3 - phase1) / (2 pi 2.5 mm)); one above is nearer to RX2 than to RX3.
 
-Within one frame a target's range cell is held; its phase is exact.
+Within one frame a target keeps the range cell of mid-frame and the phase rate of mid-chirp.
 """
 
 from __future__ import annotations
@@ -138,12 +138,14 @@ def _table(targets: tuple[Target, ...] | list[Target]) -> np.ndarray:
 def _beat(echoes: np.ndarray, w: Waveform) -> np.ndarray:
     """(rx, chirp, sample) float32 beat signal in ADC steps: a sum of separable phasors, so one matrix product."""
     range_m, velocity, azimuth, elevation, strength = echoes.T
-    beat_hz = 2.0 * w.slope_hz_per_s * range_m / C_MPS + 2.0 * velocity * w.start_frequency_hz / C_MPS
+    chirp_s = np.arange(w.chirps) * w.chirp_period_s
+    middle_m = range_m + velocity * chirp_s.mean()
+    beat_hz = 2.0 * w.slope_hz_per_s * middle_m / C_MPS + 2.0 * velocity * w.start_frequency_hz / C_MPS
     high_pass = beat_hz / np.hypot(beat_hz, w.hp_cutoff_hz)
     low_pass = 1.0 / np.sqrt(1.0 + (beat_hz / w.lp_cutoff_hz) ** 8)
     amplitude = strength * high_pass * low_pass / np.maximum(range_m, 0.03) ** 2
-    chirp_s = np.arange(w.chirps) * w.chirp_period_s
-    slow = 4.0 * np.pi * w.start_frequency_hz / C_MPS * (range_m + velocity * chirp_s[:, None])  # (chirp, target)
+    # (chirp, target): the phase at the first sample; what moves turns it at the frequency of mid-chirp
+    slow = 4.0 * np.pi * (w.start_frequency_hz / C_MPS * range_m + velocity / w.wavelength_m * chirp_s[:, None])
     turn = 2.0 * np.pi * RX_SPACING_M / w.wavelength_m
     lag = {1: 0.0 * azimuth, 3: turn * np.sin(azimuth) * np.cos(elevation)}
     lag[2] = lag[3] - turn * np.sin(elevation)
