@@ -76,6 +76,8 @@ class RoadsideConfig(Section, frozen=True, kw_only=True):
     min_speed_mps: Annotated[float, Meta(ge=0.0, le=50.0)] = 0.3  # of the object relative to the vehicle
     caution_ttc_s: Seconds = 3.0
     imminent_ttc_s: Seconds = 1.5
+    raise_messages: Annotated[int, Meta(ge=1, le=50)] = 3  # in a row before a level is raised
+    clear_messages: Annotated[int, Meta(ge=1, le=50)] = 4  # in a row before it is lowered again
     acceleration_mps2: Annotated[float, Meta(ge=0.0, le=20.0)] = 2.0  # process noise while compensating latency
 
 

@@ -60,7 +60,6 @@ class SensorWatch:
         self._good_frames = 0
         self._state: SensorState = "disconnected"
         self._since_ns = 0
-        self._last_fault = Fault("disconnected", "waiting", "")
         self._data_ended_s_before_token: float | None = None
         self._was_there = False
 
@@ -89,7 +88,6 @@ class SensorWatch:
         """The sensor's state now, for the verdict and for people."""
         fault = self._link_fault(now_s, around) or self._data_fault(now_s, around) or self._recovering()
         if fault is not None and fault.cause != "recovering":
-            self._last_fault = fault
             self._good_frames = 0
         state: SensorState = fault.state if fault else "online"
         if state != self._state or self._since_ns == 0:
@@ -149,7 +147,7 @@ class SensorWatch:
             return Fault("disconnected", "waiting", text)
         age_s = self.age_s(now_s) or 0.0
         if age_s > self.limit_s:
-            return Fault("disconnected", "stale", self._stale_reason(now_s, around))
+            return Fault("disconnected", "stale", self._stale_reason(now_s, age_s, around))
         if self.frame.stamp_age_s < -self._config.future_s:
             return Fault("degraded", "clock", f"data stamped {-self.frame.stamp_age_s:.1f} s in the future")
         if around.clock_distrust:
@@ -164,21 +162,21 @@ class SensorWatch:
             return Fault("degraded", "impaired", status.message.reason or "degraded, no reason given")
         return None
 
-    def _stale_reason(self, now_s: float, around: Surroundings) -> str:
+    def _stale_reason(self, now_s: float, age_s: float, around: Surroundings) -> str:
         assert self.frame is not None
-        silent_s = now_s - self.frame.received.arrived_s
         if around.undecodable:
             return around.undecodable
-        if silent_s > self.limit_s / 2:
+        silent_s = now_s - self.frame.received.arrived_s
+        if silent_s > self.frame.stamp_age_s:
             return f"stale: no data for {silent_s:.1f} s (limit {self.limit_s:.1f} s), the process is there"
-        return f"stale: data is {self.frame.stamp_age_s:.1f} s old when it comes (limit {self.limit_s:.1f} s)"
+        return f"stale: data comes late, it is {age_s:.1f} s old (limit {self.limit_s:.1f} s)"
 
     def _recovering(self) -> Fault | None:
+        """Not online again before enough good frames in a row; until then the state stays what it was."""
         needed = self._config.recovery_frames
         if self._state == "online" or self._good_frames >= needed:
             return None
-        after = f" after: {self._last_fault.reason}" if self._last_fault.cause != "waiting" else ""
-        return Fault("degraded", "recovering", f"{self._good_frames} of {needed} good frames{after}")
+        return Fault(self._state, "recovering", f"recovering, {self._good_frames} of {needed} good frames")
 
     def _status(self, now_s: float, around: Surroundings) -> Received[ServiceStatus] | None:
         status = around.status

@@ -12,7 +12,7 @@ from services.jetson.fusion.inbox import ONBOARD, Inbox
 from services.jetson.fusion.latency import LatencyBook
 from services.jetson.fusion.observation import Observation
 from services.jetson.fusion.reporter import Reporter
-from services.jetson.fusion.roadside import find_threat, tabulate
+from services.jetson.fusion.roadside import RoadsideAlarm, find_threat, tabulate
 from services.jetson.fusion.vehicle import Vehicle, vehicle_now
 from services.jetson.fusion.verdict import fuse
 
@@ -26,7 +26,8 @@ class FusionPipeline:
         self._config = config
         self._inbox = Inbox(config)
         self._memory = FusionMemory()
-        self._tracks = (0, tabulate([]))  # arrays of the roadside message with this stamp
+        self._alarm = RoadsideAlarm(config.roadside)
+        self._tracks_stamp_ns = 0  # of the roadside message that was looked at last
         self.latency = LatencyBook({name: getattr(config.sensors, name).budget_ms for name in self._inbox.watches})
         self._reporter = Reporter(config, self._inbox, self.latency)
 
@@ -60,19 +61,20 @@ class FusionPipeline:
             return None
         frame = self._inbox.watches["infra_lidar"].frame
         if sensor.state == "disconnected" or frame is None or sensor.age_s is None:
+            self._alarm.reset()
             return replace(sensor, level=None)
         if vehicle.T_map_vehicle is None:
+            self._alarm.reset()
             return replace(sensor, state="disconnected", level=None, reason="the vehicle's pose is unknown")
         message = frame.received.message
-        if isinstance(message, ObjectTracks) and self._tracks[0] != message.stamp_ns:
-            self._tracks = (message.stamp_ns, tabulate(message.tracks))
-        speed_mps, yaw_rate_radps = vehicle.speed_mps or 0.0, vehicle.yaw_rate_radps or 0.0
-        threat = find_threat(
-            self._tracks[1], sensor.age_s, vehicle.T_map_vehicle, speed_mps, yaw_rate_radps, self._config.roadside
-        )
-        if threat is None:
+        if isinstance(message, ObjectTracks) and message.stamp_ns != self._tracks_stamp_ns:
+            self._tracks_stamp_ns = message.stamp_ns
+            motion = (vehicle.T_map_vehicle, vehicle.speed_mps or 0.0, vehicle.yaw_rate_radps or 0.0)
+            self._alarm.update(find_threat(tabulate(message.tracks), sensor.age_s, *motion, self._config.roadside))
+        threat = self._alarm.threat
+        if self._alarm.level is None or threat is None:
             return replace(sensor, level=None)
-        return replace(sensor, level=threat.level, nearest_m=threat.distance_m, deciding=threat.deciding)
+        return replace(sensor, level=self._alarm.level, nearest_m=threat.distance_m, deciding=threat.deciding)
 
     def _inputs(
         self, seen: Observation, judged: Judged, vehicle: Vehicle, roadside: SensorInput | None

@@ -8,14 +8,16 @@ to collision is when the relative path enters the vehicle's outline, widened by 
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from common.geometry import invert
-from common.messages import Level, ObjectTrack
+from common.messages import LEVELS, Level, ObjectTrack
 from services.jetson.fusion.config import RoadsideConfig
+from services.jetson.fusion.evidence import RANK
 
 MAX_SIGMA_M = 2.0  # a track less certain than this says nothing about a corridor of a metre
 
@@ -31,7 +33,7 @@ class Threat:
 
 @dataclass(frozen=True, slots=True)
 class TrackTable:
-    """The tracks of one message as arrays, so that they are unpacked once and not at every verdict."""
+    """The tracks of one message as arrays."""
 
     tracks: tuple[ObjectTrack, ...]
     position_m: np.ndarray  # (N, 3) float64, map frame, at the measurement
@@ -121,6 +123,35 @@ def find_threat(
         return None
     level: Level = "IMMINENT" if ttc_s[first] < config.imminent_ttc_s else "CAUTION"
     return _threat(level, table.tracks[first], position[first], velocity[first], ttc_s[first], sigma_m[first])
+
+
+class RoadsideAlarm:
+    """Debounces the threats of successive messages: raised after some in a row, lowered after some more in a row."""
+
+    def __init__(self, config: RoadsideConfig) -> None:
+        self._config = config
+        self.reset()
+
+    def reset(self) -> None:
+        """The roadside is gone; what it said is worth nothing any more."""
+        self._ranks: deque[int] = deque(maxlen=max(self._config.raise_messages, self._config.clear_messages))
+        self._rank = 0
+        self.threat: Threat | None = None  # the newest, for the explanation
+
+    def update(self, threat: Threat | None) -> Level | None:
+        """Take the threat in one more message; returns the debounced level, None when there is none."""
+        self._ranks.append(0 if threat is None else RANK[threat.level])
+        self.threat = threat or self.threat
+        recent = list(self._ranks)
+        if len(recent) >= self._config.raise_messages:
+            self._rank = max(self._rank, min(recent[-self._config.raise_messages :]))
+        if len(recent) >= self._config.clear_messages:
+            self._rank = min(self._rank, max(recent[-self._config.clear_messages :]))
+        return self.level
+
+    @property
+    def level(self) -> Level | None:
+        return LEVELS[self._rank] if self._rank else None
 
 
 def _threat(

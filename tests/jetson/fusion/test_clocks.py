@@ -143,4 +143,4 @@ def test_a_host_that_never_answered_is_judged_by_its_stamps(new_bench: Any) -> N
     bench.clock_s["radar"] = -1.0
     bench.run(1.0)
     assert bench.is_in("radar", "disconnected", "stale")
-    assert "old when it comes" in bench.sensor("radar").reason
+    assert "comes late" in bench.sensor("radar").reason

@@ -13,7 +13,15 @@ from hypothesis import strategies as st
 from common.geometry import pose_2d
 from common.messages import EgoMotion, ObjectTrack
 from services.jetson.fusion.config import FusionConfig, RoadsideConfig
-from services.jetson.fusion.roadside import compensate, find_threat, relative_motion, tabulate, time_to_enter
+from services.jetson.fusion.roadside import (
+    RoadsideAlarm,
+    Threat,
+    compensate,
+    find_threat,
+    relative_motion,
+    tabulate,
+    time_to_enter,
+)
 from services.jetson.fusion.vehicle import rigid
 
 CONFIG = RoadsideConfig(sigmas=0.0, acceleration_mps2=0.0, front_m=0.5, rear_m=0.5, half_width_m=0.5)
@@ -144,6 +152,23 @@ def test_rigid_transforms_only() -> None:
         assert rigid(bad) is None
 
 
+@given(st.lists(st.sampled_from([None, "CAUTION", "IMMINENT"]), max_size=40))
+def test_raise_three_clear_four(levels: list[Any]) -> None:
+    """Against a plain rule: a level stands when the last three were all at it, and until four were all below it."""
+    alarm = RoadsideAlarm(RoadsideConfig())
+    ranks = [0 if level is None else 1 + (level == "IMMINENT") for level in levels]
+    expected = 0
+    for count, level in enumerate(levels, start=1):
+        told = alarm.update(None if level is None else Threat(level, 1.0, {}))
+        for band in (1, 2):
+            if count >= 3 and all(rank >= band for rank in ranks[count - 3 : count]):
+                expected = max(expected, band)
+        for band in (2, 1):
+            if count >= 4 and expected >= band and all(rank < band for rank in ranks[count - 4 : count]):
+                expected = band - 1
+        assert told == (None, "CAUTION", "IMMINENT")[expected]
+
+
 def with_roadside(new_bench: Any, **settings: Any) -> Any:
     bench = new_bench(FusionConfig(roadside=RoadsideConfig(enabled=True, **settings)))
     bench.run(1.0)
@@ -152,7 +177,7 @@ def with_roadside(new_bench: Any, **settings: Any) -> Any:
 
 def test_off_by_default(bench: Any) -> None:
     bench.extra["infra_lidar"] = {"tracks": [track(3.0, 0.0, -4.0, 0.0)]}
-    assert bench.run(0.5).level == "SAFE"
+    assert bench.run(1.0).level == "SAFE"
     assert "infra_lidar" not in bench.verdict.inputs
 
 
@@ -160,10 +185,14 @@ def test_the_roadside_raises_the_verdict_and_says_why(new_bench: Any) -> None:
     bench = with_roadside(new_bench)
     assert bench.verdict.level == "SAFE"
     bench.extra["infra_lidar"] = {"tracks": [track(3.0, 0.0, -4.0, 0.0)]}
-    verdict = bench.run(0.2)
+    assert bench.run(0.2).level == "SAFE", "two messages are not enough"
+    verdict = bench.run(0.1)
     assert (verdict.level, verdict.rule) == ("IMMINENT", "I1-roadside")
     assert verdict.deciding["track_id"] == 3
     assert verdict.inputs["infra_lidar"].used
+    bench.extra["infra_lidar"] = {}
+    assert bench.run(0.3).level == "IMMINENT", "three empty messages are not enough"
+    assert bench.run(0.1).level == "SAFE"
 
 
 @pytest.mark.parametrize("fault", ["kill", "silent"])
@@ -186,11 +215,13 @@ def test_a_clear_roadside_lowers_nothing(new_bench: Any) -> None:
 def test_ego_motion_places_the_vehicle_and_a_lost_pose_ends_the_help(new_bench: Any) -> None:
     bench = with_roadside(new_bench, pose_x_m=500.0)
     bench.extra["infra_lidar"] = {"tracks": [track(103.0, 0.0, -4.0, 0.0)]}
-    assert bench.run(0.2).level == "SAFE"
+    assert bench.run(0.5).level == "SAFE"
     pose = pose_2d(100.0, 0.0, 0.0).tolist()
-    motion = EgoMotion(stamp_ns=bench.now_ns, speed_mps=0.0, yaw_rate_radps=0.0, T_map_vehicle=pose)
-    bench.receive("jetson0/ego/motion", motion)
-    assert bench.tick().level == "IMMINENT"
+    for _ in range(6):
+        motion = EgoMotion(stamp_ns=bench.now_ns, speed_mps=0.0, yaw_rate_radps=0.0, T_map_vehicle=pose)
+        bench.receive("jetson0/ego/motion", motion)
+        bench.tick()
+    assert bench.verdict.level == "IMMINENT"
     verdict = bench.run(1.0)
     assert verdict.level == "SAFE"
     assert "pose is unknown" in verdict.inputs["infra_lidar"].why
