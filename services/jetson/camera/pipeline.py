@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from common.messages import CameraDetection, CameraDetections, Level, worst
@@ -11,6 +9,7 @@ from services.jetson.camera.config import CameraConfig
 from services.jetson.camera.detector import Boxes, Detector
 from services.jetson.camera.distance import estimate, scaled
 from services.jetson.camera.health import ViewMonitor, measure, reduce
+from services.jetson.camera.stopwatch import Stopwatch
 from services.jetson.camera.zone import band, in_forward_zone
 
 
@@ -29,7 +28,7 @@ class CameraPipeline:
         Raises:
             ValueError: the picture has another shape or type.
         """
-        stages = Stages()
+        watch = Stopwatch()
         _check(image)
 
         # Is this picture a view at all?
@@ -37,10 +36,10 @@ class CameraPipeline:
         measures = measure(grey, self._previous)
         view = self._monitor.update(stamp_ns, measures)
         self._previous = grey
-        stages.done("health")
+        watch.lap("health")
 
         # What is in it (a blind camera sees nothing, whatever its network says)
-        detections = [] if view.blind else self._detect(image, stages)
+        detections = [] if view.blind else self._detect(image, watch)
 
         # The worst of what is ahead; None = nothing is ahead
         levels = [detection.level for detection in detections if detection.in_zone]
@@ -51,7 +50,7 @@ class CameraPipeline:
             frame_id=self._config.frame_id,
             state="degraded" if view.degraded else "online",
             reason=view.reason,
-            stage_ms=stages.ms,
+            stage_ms=watch.stage_ms,
             detections=detections,
             brightness=measures.brightness,
             level=level,
@@ -59,22 +58,22 @@ class CameraPipeline:
             provider=self._detector.provider,
         )
 
-    def _detect(self, image: np.ndarray, stages: Stages) -> list[CameraDetection]:
+    def _detect(self, image: np.ndarray, watch: Stopwatch) -> list[CameraDetection]:
         # Picture to network input: letterboxed, RGB, 0..1
         blob, fit = self._detector.preprocess(image)
-        stages.done("preprocess")
+        watch.lap("preprocess")
 
         # The network
         output = self._detector.infer(blob)
-        stages.done("inference")
+        watch.lap("inference")
 
         # Its output to boxes in picture pixels, one per object
         boxes = self._detector.postprocess(output, fit, image.shape)
-        stages.done("postprocess")
+        watch.lap("postprocess")
 
         # How far, whether ahead, and in which band
         detections = self._locate(boxes, image.shape[1], image.shape[0])
-        stages.done("distance")
+        watch.lap("distance")
         return detections
 
     def _locate(self, boxes: Boxes, width_px: int, height_px: int) -> list[CameraDetection]:
@@ -99,19 +98,6 @@ class CameraPipeline:
                 )
             )
         return detections
-
-
-class Stages:
-    """How long each step took, in milliseconds."""
-
-    def __init__(self) -> None:
-        self.ms: dict[str, float] = {}
-        self._last_s = time.perf_counter()
-
-    def done(self, name: str) -> None:
-        now_s = time.perf_counter()
-        self.ms[name] = (now_s - self._last_s) * 1e3
-        self._last_s = now_s
 
 
 def _check(image: np.ndarray) -> None:
