@@ -19,6 +19,8 @@ from services.jetson.fusion.readings import Reading, read
 
 STATUS_AGE_LIMIT_S = status_topic("any").age_limit_s or 3.0
 
+RANK_OF_STATE: dict[SensorState, int] = {"online": 0, "degraded": 1, "disconnected": 2}
+
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
@@ -57,7 +59,8 @@ class SensorWatch:
         self.frame: Frame | None = None
         self._config = config
         self._arrivals_s: deque[float] = deque()
-        self._good_frames = 0
+        self._fresh_frames = 0  # in a row that came in time
+        self._good_frames = 0  # in a row without any fault
         self._state: SensorState = "disconnected"
         self._since_ns = 0
         self._data_ended_s_before_token: float | None = None
@@ -81,14 +84,18 @@ class SensorWatch:
         self._arrivals_s.append(received.arrived_s)
         while self._arrivals_s and received.arrived_s - self._arrivals_s[0] > self._config.rate_window_s:
             self._arrivals_s.popleft()
-        self._good_frames = 0 if self._data_fault(received.arrived_s, around) else self._good_frames + 1
+        fault = self._data_fault(received.arrived_s, around)
+        self._good_frames = 0 if fault else self._good_frames + 1
+        self._fresh_frames = 0 if fault and fault.state == "disconnected" else self._fresh_frames + 1
         return ""
 
     def judge(self, now_s: float, now_ns: int, around: Surroundings) -> tuple[SensorInput, SensorHealth]:
         """The sensor's state now, for the verdict and for people."""
-        fault = self._link_fault(now_s, around) or self._data_fault(now_s, around) or self._recovering()
-        if fault is not None and fault.cause != "recovering":
+        fault = self._link_fault(now_s, around) or self._data_fault(now_s, around)
+        if fault is not None:
             self._good_frames = 0
+            self._fresh_frames = 0 if fault.state == "disconnected" else self._fresh_frames
+        fault = self._recovering(fault) or fault
         state: SensorState = fault.state if fault else "online"
         if state != self._state or self._since_ns == 0:
             self._state, self._since_ns = state, now_ns
@@ -171,12 +178,14 @@ class SensorWatch:
             return f"stale: no data for {silent_s:.1f} s (limit {self.limit_s:.1f} s), the process is there"
         return f"stale: data comes late, it is {age_s:.1f} s old (limit {self.limit_s:.1f} s)"
 
-    def _recovering(self) -> Fault | None:
-        """Not online again before enough good frames in a row; until then the state stays what it was."""
-        needed = self._config.recovery_frames
-        if self._state == "online" or self._good_frames >= needed:
+    def _recovering(self, fault: Fault | None) -> Fault | None:
+        """Nothing gets better before enough good frames in a row; until then the state stays what it was."""
+        better = RANK_OF_STATE[fault.state if fault else "online"] < RANK_OF_STATE[self._state]
+        frames = self._good_frames if fault is None else self._fresh_frames
+        if not better or frames >= self._config.recovery_frames:
             return None
-        return Fault(self._state, "recovering", f"recovering, {self._good_frames} of {needed} good frames")
+        text = f"recovering, {frames} of {self._config.recovery_frames} good frames"
+        return Fault(self._state, "recovering", f"{text}; {fault.reason}" if fault else text)
 
     def _status(self, now_s: float, around: Surroundings) -> Received[ServiceStatus] | None:
         status = around.status

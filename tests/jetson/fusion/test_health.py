@@ -77,6 +77,17 @@ def test_online_after_three_good_frames_and_not_before(new_bench: Any) -> None:
     assert frames == 3
 
 
+def test_a_sensor_that_comes_back_impaired_stays_disconnected_for_three_frames_too(bench: Any) -> None:
+    bench.kill("lidar")
+    bench.run(0.2)
+    bench.extra["lidar"] = {"state": "degraded", "reason": "blocked"}
+    bench.start("lidar")
+    while not bench.is_in("lidar", "degraded", "impaired"):
+        bench.tick()
+        assert bench.is_in("lidar", "disconnected") == (bench.seq["lidar"] < 3)
+    assert bench.seq["lidar"] == 3
+
+
 def test_an_impaired_sensor_stays_impaired_until_it_has_recovered_and_its_alarm_counts(bench: Any) -> None:
     bench.extra["radar"] = {"state": "degraded", "reason": "saturated"}
     bench.run(0.3)
