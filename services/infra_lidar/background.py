@@ -2,7 +2,7 @@
 
 Learned once over ``learn_s`` from whole frames, then frozen: nothing that arrives later ever becomes background, so an
 obstacle that stops is never hidden. What the classifier took for a road user at the end of learning (a parked car) is
-left out, and so is every direction that was seen through now and then (a queue at a red light, leaves). The model is
+left out, and so is every direction that was seen through for a while (a queue at a red light). The model is
 only a short cut for returns: those it knows need no ground, no cluster and no class.
 """
 
@@ -98,7 +98,10 @@ class Background:
         if self._low is None:
             self._begin(stamp_ns, points)
         tolerance, slope = np.float32(config.tolerance_m), np.float32(config.tolerance_slope)
-        kernels.learn(points, self._columns, self._rows, tolerance, slope, self._low, self._high, self._count)
+        kernels.learn(
+            points, self._columns, self._rows, tolerance, slope, self._low, self._high, self._count,
+            self._newest, self._switches,
+        )  # fmt: skip
         self._frames += 1
         if self._frames >= config.min_frames and stamp_ns - self._first_ns >= config.learn_s * 1e9:
             self.model = self._settle(points, ground, road_user, surface)
@@ -112,6 +115,8 @@ class Background:
         self._low = np.zeros((cells, kernels.MODES), np.float32)
         self._high = np.zeros((cells, kernels.MODES), np.float32)
         self._count = np.zeros((cells, kernels.MODES), np.uint16)
+        self._newest = np.zeros(cells, np.uint8)
+        self._switches = np.zeros(cells, np.uint16)
 
     def _settle(
         self, points: np.ndarray, ground: np.ndarray, road_user: np.ndarray, surface: np.ndarray
@@ -119,8 +124,8 @@ class Background:
         config, cells = self._config, self._columns * self._rows
         bounds = np.empty((cells, 4), np.float32)
         kernels.settle(
-            self._low, self._high, self._count, self._frames, self._columns, self._rows, config.min_share,
-            np.float32(config.tolerance_m), np.float32(config.tolerance_slope), bounds,
+            self._low, self._high, self._count, self._switches, self._frames, self._columns, self._rows,
+            config.min_share, np.float32(config.tolerance_m), np.float32(config.tolerance_slope), bounds,
         )  # fmt: skip
         road, users = np.zeros(cells, np.uint8), np.zeros(cells, np.uint8)
         kernels.mark_cells(points, self._columns, self._rows, ground, 1, road)

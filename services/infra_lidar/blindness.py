@@ -50,7 +50,7 @@ class BlindnessWatch:
         reasons = [complaint] if complaint else []
         reasons += self._sight()
         if not reasons:
-            self._learn(seen)
+            self._learn()
         reasons += self._losses()
         return ("degraded", "; ".join(reasons)) if reasons else ("online", "")
 
@@ -89,6 +89,6 @@ class BlindnessWatch:
             reasons.append(f"processing takes {slow_ms:.0f} ms a frame, {config.budget_ms:g} are allowed")
         return reasons
 
-    def _learn(self, seen: Returns) -> None:
-        now = np.array([seen.returns, seen.beams, seen.sectors], float)
+    def _learn(self) -> None:
+        now = np.median([(s.returns, s.beams, s.sectors) for s, _, _ in self._recent], axis=0)
         self._usual = now if self._usual is None else self._usual + USUAL_GAIN * (now - self._usual)

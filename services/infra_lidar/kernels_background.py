@@ -8,6 +8,7 @@ from services.infra_lidar.jit import inline, kernel
 
 BLOCK = 1024
 MODES = 3
+FLICKER_SHARE = 0.2  # two ranges that take turns this often are both background; a queue takes turns far less often
 ROWS_WITHOUT_RINGS, ROWS_PER_RAD = 256, np.float32(256.0)  # 0.22 degrees, for clouds without a ring column
 NO_RETURN_M2 = np.float32(0.25)
 PI, HALF_PI = np.float32(np.pi), np.float32(np.pi / 2)
@@ -40,10 +41,11 @@ def _row(points, i, rows, squared):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def learn(points, columns, rows, tolerance, slope, low, high, count):  # type: ignore[no-untyped-def]
+def learn(points, columns, rows, tolerance, slope, low, high, count, newest, switches):  # type: ignore[no-untyped-def]
     """Add a frame to the ranges seen per cell. low, high (cells, MODES) float32 m and count (cells, MODES) uint16.
 
     A range within tolerance + slope * range of a mode widens it; otherwise it takes the rarest mode's place.
+    newest (cells,) uint8 is the mode last seen, switches (cells,) uint16 counts how often that changed.
     """
     per_column = np.float32(columns / (2.0 * np.pi))
     for i in range(points.shape[0]):
@@ -67,47 +69,61 @@ def learn(points, columns, rows, tolerance, slope, low, high, count):  # type: i
             count[c, taken] = min(count[c, taken] + 1, 65535)
         else:
             low[c, rarest], high[c, rarest], count[c, rarest] = r, r, 1
+            taken = rarest
+        switches[c] += newest[c] != taken
+        newest[c] = taken
 
 
 @kernel
-def settle(low, high, count, frames, columns, rows, min_share, tolerance, slope, bounds):  # type: ignore[no-untyped-def]
-    """What was always there, as squared bounds (cells, 4) float32: own range, and that of a neighbour in azimuth.
+def settle(low, high, count, switches, frames, columns, rows, min_share, tolerance, slope, bounds):  # type: ignore[no-untyped-def]
+    """What was always there, as two squared intervals of range per cell: bounds (cells, 4) float32.
 
     A range is background if nearly all returns of the cell came from it and none from behind it: what was sometimes
-    seen through, as a car at a red light, is not. Returns the number of cells with a background.
+    seen through, as a car at a red light, is not. Where two ranges take turns from frame to frame (an edge, leaves),
+    both are. A second interval left free is that of a neighbour in azimuth. Returns the number of known cells.
     """
     cells = columns * rows
-    chosen = np.full(cells, -1, np.int8)
+    chosen = np.full((cells, 2), -1, np.int8)
     known = 0
     for c in range(cells):
-        chosen[c] = _background_mode(low[c], high[c], count[c], frames, min_share)
-        known += chosen[c] >= 0
+        _choose(low[c], high[c], count[c], switches[c], frames, min_share, chosen[c])
+        known += chosen[c, 0] >= 0
     for c in range(cells):
         bounds[c, 0], bounds[c, 1], bounds[c, 2], bounds[c, 3] = 1.0, 0.0, 1.0, 0.0  # empty intervals
-        if chosen[c] >= 0:
-            _set(bounds, c, 0, low[c, chosen[c]], high[c, chosen[c]], tolerance, slope)
+        for k in range(2):
+            if chosen[c, k] >= 0:
+                _set(bounds, c, 2 * k, low[c, chosen[c, k]], high[c, chosen[c, k]], tolerance, slope)
+        if chosen[c, 1] >= 0:
+            continue
         for side in (-1, 1):
-            column = (c // rows + side) % columns
-            n = column * rows + c % rows
-            if chosen[n] < 0:
+            n = (c // rows + side) % columns * rows + c % rows
+            if chosen[n, 0] < 0:
                 continue
-            near, far = low[n, chosen[n]], high[n, chosen[n]]
-            if chosen[c] < 0 or far > high[c, chosen[c]] + tolerance or near < low[c, chosen[c]] - tolerance:
+            near, far = low[n, chosen[n, 0]], high[n, chosen[n, 0]]
+            own = chosen[c, 0]
+            if own < 0 or far > high[c, own] + tolerance or near < low[c, own] - tolerance:
                 _set(bounds, c, 2, near, far, tolerance, slope)
     return known
 
 
 @kernel
-def _background_mode(low, high, count, frames, min_share):  # type: ignore[no-untyped-def]
-    """The mode of one cell that is background, or -1."""
-    total, best, behind = 0, 0, 0
+def _choose(low, high, count, switches, frames, min_share, chosen):  # type: ignore[no-untyped-def]
+    """The one or two modes of a cell that are background, -1 = none."""
+    total, best, second, behind = 0, 0, -1, 0
     for m in range(MODES):
         total += count[m]
         best = m if count[m] > count[best] else best
     for m in range(MODES):
         behind += count[m] if low[m] > high[best] else 0
-    enough = (total >= 0.2 * frames) & (count[best] >= min_share * total) & (behind <= 0.1 * total)
-    return best if enough else -1
+        if m != best and (second < 0 or count[m] > count[second]):
+            second = m
+    if total < 0.2 * frames:
+        return
+    if switches >= FLICKER_SHARE * total and count[best] + count[second] >= min_share * total:
+        chosen[0] = best
+        chosen[1] = second if count[second] >= 0.1 * total else -1
+    elif count[best] >= min_share * total and behind <= 0.1 * total:
+        chosen[0] = best
 
 
 @inline

@@ -21,6 +21,8 @@ from services.infra_lidar.scene import Scene
 from services.infra_lidar.stopwatch import Stopwatch
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
 
+SURE = 0.7  # a cluster of this confidence is kept out of the background
+
 
 class InfraLidarPipeline:
     """One sensor's pipeline. Not for several threads at a time; make one per sensor.
@@ -86,7 +88,10 @@ class InfraLidarPipeline:
 
         # 6. Learn the fixed scene, as long as it is not known. Then: can the sensor see at all?
         cluster_id = parted.spread(found.cluster_id)
-        self.scene.learn(stamp_ns, points, parted, _road_user(clusters, cluster_id))
+        if self.scene.learn(stamp_ns, points, parted, _road_user(clusters, cluster_id)):
+            self.tracker = MultiObjectTracker(
+                self.config.tracking
+            )  # what stands is about to vanish: no track of it may
         watch.lap("learn")
         total_ms = sum(watch.stage_ms.values())
         state, reason = self.blindness.judge(parted.seen, quality, total_ms, self.calibration.complaint)
@@ -126,9 +131,10 @@ def _checked(points: np.ndarray) -> np.ndarray:
 
 
 def _road_user(clusters: ClusterSet, cluster_id: np.ndarray) -> np.ndarray:
-    """(N,) bool: points of clusters that may be road users."""
-    user = np.array([label != CLASSES[BACKGROUND] for label in clusters.labels] + [False])  # the last one is for id -1
-    return np.asarray(user[cluster_id])
+    """(N,) bool: points of clusters that are road users for all we can tell."""
+    sure = clusters.confidences >= SURE
+    user = np.array([label != CLASSES[BACKGROUND] for label in clusters.labels], bool) & sure
+    return np.asarray(np.append(user, False)[cluster_id])  # the last one is for id -1
 
 
 def _detections(clusters: ClusterSet, T_map_level: np.ndarray) -> Detections:

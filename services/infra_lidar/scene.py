@@ -61,14 +61,19 @@ class Scene:
             return self._whole(stamp_ns, points, calibration)
         return self._rest(stamp_ns, points, sifted, calibration)
 
-    def learn(self, stamp_ns: int, points: np.ndarray, parted: Parted, road_user: np.ndarray) -> None:
-        """Teach the background a whole frame; road_user (N,) bool: points of clusters that are no background."""
+    def learn(self, stamp_ns: int, points: np.ndarray, parted: Parted, road_user: np.ndarray) -> bool:
+        """Teach the background a whole frame; road_user (N,) bool: points of clusters that are no background.
+
+        Returns True when this frame ended the learning.
+        """
         if not self._config.background.enabled or not self._keeper.settled or parted.source is not None:
-            return
+            return False
         if self.background.lost:
             self.background.restart()
-        if self.background.model is None:
-            self.background.learn(stamp_ns, points, parted.ground, road_user, self.ground.surface)
+        if self.background.model is not None:
+            return False
+        self.background.learn(stamp_ns, points, parted.ground, road_user, self.ground.surface)
+        return self.background.model is not None
 
     def restart(self) -> None:
         """Forget the background: the sensor has been moved or turned."""

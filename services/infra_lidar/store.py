@@ -54,7 +54,7 @@ class Store:
             return None
         try:
             return read(path)
-        except (ValueError, KeyError, TypeError, OSError, zipfile.BadZipFile) as error:
+        except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
             log.warning("%s is damaged and not used: %s", path, error)
             return None
 
@@ -84,7 +84,7 @@ def read_calibration(path: Path) -> Calibration:
 
 def read_background(path: Path) -> BackgroundModel:
     """Raises ``ValueError`` or ``KeyError`` when it is no background model."""
-    with np.load(path, allow_pickle=False) as file:
+    with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
         model = BackgroundModel(
             bounds=file["bounds"], road=file["road"], columns=int(file["columns"]), rows=int(file["rows"]),
             known_share=float(file["known_share"]), surface=file["surface"],
