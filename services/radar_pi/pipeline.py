@@ -7,11 +7,11 @@ Kalman tracks -> alarm levels, and beside them the radar's own health.
 from __future__ import annotations
 
 import math
-from time import perf_counter
 
 import numpy as np
 
 from common.messages import RadarDetection, RadarDetections, RadarTrack, RadarTracks, worst
+from common.stopwatch import Stopwatch
 from services.radar_pi.alarm import alarm_level, approached_s_ago, is_moving, static_level, time_to_collision_s
 from services.radar_pi.axes import derive_axes
 from services.radar_pi.azimuth import PairAzimuth
@@ -19,7 +19,7 @@ from services.radar_pi.cfar import build_cfar
 from services.radar_pi.clutter import Clutter
 from services.radar_pi.config import RadarConfig
 from services.radar_pi.detection import Detection, find_peaks, group
-from services.radar_pi.health import HealthMonitor, saturated_fraction
+from services.radar_pi.health import Health, HealthMonitor, saturated_fraction
 from services.radar_pi.noise import RowNoise, noise_floor_db
 from services.radar_pi.spectrum import RangeDoppler, mean_power
 from services.radar_pi.tracking import Track, Tracker
@@ -43,7 +43,6 @@ class RadarPipeline:
         self.azimuth = PairAzimuth(config.azimuth, receivers, axes.wavelength_m)
         self.tracker = Tracker(config.tracking, config.detection, axes.v_max_mps, axes.range_lead_s)
         self.health = HealthMonitor(config.health)
-        self._shape = (len(receivers), config.waveform.chirps, config.waveform.samples)
         self._stamp_ns: int | None = None
         self._epoch = 0
         self._power: np.ndarray | None = None
@@ -70,7 +69,7 @@ class RadarPipeline:
         Raises:
             ValueError: the frame's shape is not the waveform's.
         """
-        started = perf_counter()
+        watch = Stopwatch()
         self._reset_after_restart(stamp_ns, epoch)
         # 1. window and range FFT: beat frequency is range
         profiles = self.transform.profiles(frame)
@@ -79,10 +78,10 @@ class RadarPipeline:
         # 3. window and Doppler FFT, then the mean power over the receivers
         spectrum = self.transform.doppler(moving)
         power = mean_power(spectrum)
-        transformed = perf_counter()
+        watch.lap("transform")
         # 4. cells above the noise around them, grouped to bodies with range, velocity and azimuth
         detections = self._detect(power, spectrum)
-        detected = perf_counter()
+        watch.lap("detect")
         # 5. tracks over time
         tracks = self.tracker.update(stamp_ns, detections)
         # 6. can the radar see at all?
@@ -91,28 +90,10 @@ class RadarPipeline:
             self.clutter.frames_to_settle, saturated_fraction(frame), floor_db, self._leakage_db(), note
         )
         # 7. what each track means
-        reports = [self._report(track, stamp_ns, ego_speed_mps) for track in tracks]
-        standing = [track for track in tracks if not is_moving(track, ego_speed_mps, self.config.tracking)]
         self._power, self._detections = power, detections
-        self._result = RadarTracks(
-            stamp_ns=stamp_ns,
-            frame_id=FRAME_ID,
-            state=health.state,
-            reason=health.reason,
-            stage_ms={
-                "transform": (transformed - started) * 1e3,
-                "detect": (detected - transformed) * 1e3,
-                "track": (perf_counter() - detected) * 1e3,
-            },
-            tracks=reports,
-            level=worst(*(report.level for report in reports)),
-            settled=self.clutter.frames_to_settle == 0,
-            noise_floor_db=floor_db,
-            static_level=static_level(standing, self.config.alarm),
-            v_max_mps=self.axes.v_max_mps,
-            range_min_m=max(0.0, self.axes.range_min_m),
-            range_max_m=self.axes.range_max_m,
-        )
+        self._result = self._message(stamp_ns, tracks, ego_speed_mps, health, floor_db)
+        watch.lap("track")
+        self._result.stage_ms = watch.stage_ms
         return self._result
 
     def detections(self) -> RadarDetections:
@@ -167,6 +148,26 @@ class RadarPipeline:
             return 0.0
         near = background[:, : self.axes.near_bin].ravel()
         return 10 * math.log10(max(float(np.vdot(near, near).real) / near.size, 1e-12))
+
+    def _message(
+        self, stamp_ns: int, tracks: list[Track], ego_speed_mps: float | None, health: Health, floor_db: float
+    ) -> RadarTracks:
+        reports = [self._report(track, stamp_ns, ego_speed_mps) for track in tracks]
+        standing = [track for track in tracks if not is_moving(track, ego_speed_mps, self.config.tracking)]
+        return RadarTracks(
+            stamp_ns=stamp_ns,
+            frame_id=FRAME_ID,
+            state=health.state,
+            reason=health.reason,
+            tracks=reports,
+            level=worst(*(report.level for report in reports)),
+            settled=self.clutter.frames_to_settle == 0,
+            noise_floor_db=floor_db,
+            static_level=static_level(standing, self.config.alarm),
+            v_max_mps=self.axes.v_max_mps,
+            range_min_m=max(0.0, self.axes.range_min_m),
+            range_max_m=self.axes.range_max_m,
+        )
 
     def _report(self, track: Track, stamp_ns: int, ego_speed_mps: float | None) -> RadarTrack:
         tracking = self.config.tracking
