@@ -87,7 +87,7 @@ class Player:
             except DecodeError:
                 return
             for name in ("stamp_ns", "received_ns", "sent_ns"):
-                if getattr(message, name):
+                if name == "stamp_ns" or getattr(message, name):  # 0 in the others means "not told"
                     setattr(message, name, getattr(message, name) + shift_ns + late_ns)
             payload = encode(message)
         self._publisher(recorded.key, encoding_of(topic.message)).put(payload)

@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
+from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
+from zstandard import ZstdError
 
 SPOTTER_SCHEMA = "spotter."
+MAGIC = b"\x89MCAP0\r\n"
+DAMAGE = (
+    McapError,
+    ZstdError,
+    struct.error,
+    EOFError,
+    ValueError,
+    LookupError,
+    ArithmeticError,
+    OSError,
+    MemoryError,
+)  # what the library meets in damaged bytes
 
 
 class RecordingError(ValueError):
@@ -46,21 +61,29 @@ def read(path: Path, start_ns: int | None = None) -> Iterator[Recorded]:
     Raises:
         RecordingError: a chunk fails its CRC. (A file without an end is read up to its last whole chunk.)
     """
-    if not _has_index(path):
+    if not is_complete(path):
         yield from _read_cut(path, start_ns)
         return
     try:
         with path.open("rb") as stream:
-            reader = make_reader(stream, validate_crcs=True)
-            for schema, channel, message in reader.iter_messages(start_time=start_ns):
-                if (
-                    schema is not None
-                    and schema.name.startswith(SPOTTER_SCHEMA)
-                    and channel.message_encoding == "msgpack"
-                ):
+            for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages(starting_at=start_ns):
+                if _is_ours(schema, channel):
                     yield Recorded(channel.topic, message.data, message.log_time)
-    except McapError as error:
-        raise RecordingError(f"{path}: {error}") from None
+    except DAMAGE as error:
+        raise RecordingError(f"{path}: damaged: {error}") from None
+
+
+def is_complete(path: Path) -> bool:
+    """Whether the recorder came to its end: the file closes with the format's magic.
+
+    Raises:
+        RecordingError: it does not begin as an MCAP file either.
+    """
+    with path.open("rb") as stream:
+        if stream.read(len(MAGIC)) != MAGIC:
+            raise RecordingError(f"{path}: not an MCAP file")
+        stream.seek(-len(MAGIC), 2)
+        return stream.tell() > len(MAGIC) and stream.read() == MAGIC
 
 
 def summarise(path: Path) -> Summary:
@@ -71,28 +94,17 @@ def summarise(path: Path) -> Summary:
     """
     counts: dict[str, int] = {}
     first_ns = last_ns = 0
-    complete = _has_index(path)
     for recorded in read(path):
         counts[recorded.key] = counts.get(recorded.key, 0) + 1
         first_ns = first_ns or recorded.log_ns
         last_ns = max(last_ns, recorded.log_ns)
     if not counts:
         raise RecordingError(f"{path}: holds none of our messages")
-    return Summary(first_ns, last_ns, counts, complete)
-
-
-def _has_index(path: Path) -> bool:
-    try:
-        with path.open("rb") as stream:
-            return make_reader(stream).get_summary() is not None
-    except McapError:
-        return False
+    return Summary(first_ns, last_ns, counts, is_complete(path))
 
 
 def _read_cut(path: Path, start_ns: int | None) -> Iterator[Recorded]:
     """A file without its end: chunk by chunk, up to the first that is not whole."""
-    from mcap.records import Channel, Message, Schema
-
     channels: dict[int, Channel] = {}
     schemas: dict[int, Schema] = {}
     with path.open("rb") as stream:
@@ -100,7 +112,7 @@ def _read_cut(path: Path, start_ns: int | None) -> Iterator[Recorded]:
         while True:
             try:
                 record = next(records)
-            except (StopIteration, McapError, EOFError):
+            except (StopIteration, *DAMAGE):
                 return
             if isinstance(record, Schema):
                 schemas[record.id] = record
@@ -108,7 +120,10 @@ def _read_cut(path: Path, start_ns: int | None) -> Iterator[Recorded]:
                 channels[record.id] = record
             elif isinstance(record, Message):
                 channel = channels[record.channel_id]
-                ours = schemas[channel.schema_id].name.startswith(SPOTTER_SCHEMA)
                 late_enough = start_ns is None or record.log_time >= start_ns
-                if ours and channel.message_encoding == "msgpack" and late_enough:
+                if late_enough and _is_ours(schemas[channel.schema_id], channel):
                     yield Recorded(channel.topic, record.data, record.log_time)
+
+
+def _is_ours(schema: Schema | None, channel: Channel) -> bool:
+    return schema is not None and schema.name.startswith(SPOTTER_SCHEMA) and channel.message_encoding == "msgpack"
