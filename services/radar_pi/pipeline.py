@@ -49,11 +49,6 @@ class RadarPipeline:
         self._detections: list[Detection] = []
         self._result: RadarTracks | None = None
 
-    def reset(self) -> None:
-        """Forget background and tracks: the chip was restarted."""
-        self.clutter.reset()
-        self.tracker.tracks.clear()
-
     def process(
         self, stamp_ns: int, frame: np.ndarray, ego_speed_mps: float | None = None, epoch: int = 0, note: str = ""
     ) -> RadarTracks:
@@ -122,11 +117,16 @@ class RadarPipeline:
         )
 
     def _reset_after_restart(self, stamp_ns: int, epoch: int) -> None:
-        """After a restart or a long gap the echo's phase has changed, and with it the background."""
+        """After a restart or a long gap the echo's phase has changed, and with it the background.
+
+        Tracks live through a restart: a running alarm does not end because the chip was cured. A long gap ends them.
+        """
         limit_ns = GAP_PERIODS * self.config.waveform.frame_period_s * 1e9
         gap = self._stamp_ns is not None and not 0 <= stamp_ns - self._stamp_ns <= limit_ns
         if gap or epoch != self._epoch:
-            self.reset()
+            self.clutter.reset()
+        if gap:
+            self.tracker.tracks.clear()
         self._stamp_ns, self._epoch = stamp_ns, epoch
 
     def _detect(self, power: np.ndarray, spectrum: np.ndarray) -> list[Detection]:

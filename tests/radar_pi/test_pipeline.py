@@ -113,6 +113,16 @@ def test_after_a_restart_the_background_settles_again(cause: str) -> None:
     assert message.state == "degraded"
 
 
+def test_an_alarm_lives_through_a_restart_of_the_chip() -> None:
+    pipeline, start_ns = settled_pipeline(CONFIG)
+    for i in range(12):
+        scene = [*LEAKAGE, Target(2.2 - 0.14 * i, -1.4, amplitude_lsb=300.0)]
+        frame = simulate(scene, SHAPE, seed=i)
+        message = pipeline.process(start_ns + i * PERIOD_NS, frame, None, epoch=0 if i < 8 else 1)
+    assert (message.level, message.settled, message.state) == ("IMMINENT", False, "degraded")
+    assert [track.track_id for track in message.tracks] == [1]
+
+
 def test_a_few_lost_frames_are_no_restart() -> None:
     pipeline, start_ns = settled_pipeline(CONFIG)
     assert pipeline.process(start_ns + 3 * PERIOD_NS, empty(0)).settled
