@@ -23,7 +23,7 @@ from services.jetson.camera.config import CameraConfig, CaptureConfig, DetectorC
 from services.jetson.camera.evaluate import Error, compare, kitti_pictures, lens_of
 from services.jetson.camera.frames import NewestFrames
 from services.jetson.camera.pipeline import CameraPipeline
-from services.jetson.camera.source import calibrated, open_source
+from services.jetson.camera.source import fitted, open_source
 
 DATA = Path(os.environ.get("SPOTTER_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
 REAL_NETWORK = DATA / "camera" / "yolov8n_int8.onnx"
@@ -63,7 +63,7 @@ def live_table() -> None:
     for name, model in networks().items():
         capture = msgspec.structs.replace(CaptureConfig(), rate_hz=30.0)
         config = CameraConfig(detector=DetectorConfig(model=model, threads=1), capture=capture)
-        pipeline, report = CameraPipeline(calibrated(config)), Report("benchmark")
+        pipeline, report = CameraPipeline(fitted(config)), Report("benchmark")
         source, lossless = open_source(config, report)
         latency_ms: list[float] = []
         with NewestFrames(source, report, lossless) as frames:
@@ -84,7 +84,7 @@ def stage_table() -> None:
     for name, model in networks().items():
         for title, image in stage_pictures():
             config = CameraConfig(detector=DetectorConfig(model=model, threads=1))
-            pipeline = CameraPipeline(calibrated(config))
+            pipeline = CameraPipeline(fitted(config))
             runs = [pipeline.process(i * 10**8, image).stage_ms for i in range(ROUNDS)]
             ms = {stage: float(np.median([run[stage] for run in runs])) for stage in stages}
             total, share = sum(ms.values()), (ms["preprocess"] + ms["postprocess"]) / ms["inference"]

@@ -13,11 +13,11 @@ from services.jetson.camera.annotate import picture
 from services.jetson.camera.config import CameraConfig
 from services.jetson.camera.frames import NewestFrames, RateLimit
 from services.jetson.camera.pipeline import CameraPipeline
-from services.jetson.camera.source import calibrated, open_source
+from services.jetson.camera.source import fitted, open_source
 
 
 def run(config: CameraConfig) -> bool:
-    config = calibrated(config)
+    config = fitted(config)
     pipeline = CameraPipeline(config)
     with Service("camera", config) as service:
         publish, publish_image = service.publisher(CAMERA_DETECTIONS), service.publisher(CAMERA_IMAGE)

@@ -121,7 +121,7 @@ class HealthConfig(Section, frozen=True, kw_only=True):
         0.08  # Laplacian over contrast (real pictures: 0.3 and more)
     )
     frozen_difference: Grey = 0.01  # mean difference to the picture before: sensor noise alone is far above
-    frozen_after_s: Seconds = 1.0
+    frozen_after_s: Annotated[float, Meta(ge=0.0, le=60.0)] = 1.0  # 0 = never: for a still picture
     hysteresis: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.15  # a limit must be left by this share to count as good
     raise_frames: Frames = 5
     clear_frames: Frames = 3

@@ -74,7 +74,7 @@ class _Condition:
         self.count = self.count + 1 if against else 0
         if self.count >= (clear_frames if self.raised else self.raise_frames):
             self.raised, self.count = not self.raised, 0
-        self.evidence = evidence
+            self.evidence = evidence  # as it was when it was raised: a reason that changes all the time is no news
 
 
 class ViewMonitor:
@@ -120,4 +120,5 @@ class ViewMonitor:
             self._changed_ns = stamp_ns
         still_s = (stamp_ns - self._changed_ns) / 1e9
         text = f"the same picture for {still_s:.1f} s"
-        self._frozen.update(still_s >= self._config.frozen_after_s, changed, self._config.clear_frames, text)
+        frozen = 0 < self._config.frozen_after_s <= still_s
+        self._frozen.update(frozen, changed, self._config.clear_frames, text)

@@ -27,6 +27,7 @@ from common.source_url import SourceUrl, parse_source
 from common.status import Report
 from services.jetson.camera.child import CaptureChild, CaptureLost
 from services.jetson.camera.config import CameraConfig, CaptureConfig, LensConfig
+from services.jetson.camera.distance import scaled
 from services.jetson.camera.frames import Frame
 from services.jetson.camera.gstreamer import advice, command, device_path
 
@@ -54,18 +55,21 @@ def open_source(config: CameraConfig, report: Report) -> tuple[Source, bool]:
     return partial(_captured, url, config.capture, report), False
 
 
-def calibrated(config: CameraConfig) -> CameraConfig:
-    """The simulated camera knows its own lens and place; a real one has them from the configuration."""
-    if not config.source.startswith("sim:"):
+def fitted(config: CameraConfig) -> CameraConfig:
+    """The configuration with what the source knows of itself.
+
+    The simulated camera knows its own lens and place; a single photograph is still by nature, not frozen. A real camera
+    has everything from the configuration.
+    """
+    scheme, _, target = config.source.partition(":")
+    if scheme == "file" and Path(target.partition("?")[0]).suffix.lower() in PICTURES:
+        return msgspec.structs.replace(config, health=msgspec.structs.replace(config.health, frozen_after_s=0.0))
+    if scheme != "sim":
         return config
     width_px, height_px = config.capture.width_px, config.capture.height_px
-    focal_px = simulated.F_Y_PX * height_px / 480
-    lens = LensConfig(
-        width_px=width_px, height_px=height_px,
-        f_x_px=focal_px, f_y_px=focal_px, c_x_px=width_px / 2, c_y_px=height_px / 2,
-    )  # fmt: skip
+    native = LensConfig(f_x_px=simulated.F_Y_PX, f_y_px=simulated.F_Y_PX)
     mount = msgspec.structs.replace(config.mount, height_m=float(T_vehicle_camera[2, 3]), pitch_rad=0.0)
-    return msgspec.structs.replace(config, lens=lens, mount=mount)
+    return msgspec.structs.replace(config, lens=scaled(native, width_px, height_px), mount=mount)
 
 
 def _known_scenario(url: SourceUrl) -> str:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from common.sim import camera as simulated
 from services.jetson.camera.config import CameraConfig, DistanceConfig, LensConfig, MountConfig
 from services.jetson.camera.distance import estimate, scaled
-from services.jetson.camera.source import calibrated
+from services.jetson.camera.source import fitted
 
 LENS, UNKNOWN, CONFIG = LensConfig(), MountConfig(), DistanceConfig()
 LOW = MountConfig(height_m=0.24)  # on a model car
@@ -134,7 +134,7 @@ def test_a_taller_box_is_nearer(rows: float, more: float) -> None:
 
 def test_true_boxes_of_the_simulated_world_give_its_true_distances() -> None:
     """Persons and the small car of `crossing`, whole or cut off, through the simulated camera's own calibration."""
-    config = calibrated(CameraConfig())
+    config = fitted(CameraConfig())
     errors = []
     for t_s in np.arange(0.0, 15.0, 0.25):
         for box in simulated.boxes("crossing", float(t_s)):

@@ -114,6 +114,13 @@ def test_a_picture_that_never_changes_is_frozen_after_a_second(texture: np.ndarr
     assert not camera.shows(texture, 3).degraded
 
 
+def test_a_reason_stays_as_it_was_when_the_fault_began(texture: np.ndarray) -> None:
+    """Status is sent on every change of the reason: a figure that flickers would flood it."""
+    camera = Camera()
+    reasons = {camera.shows((texture * share).astype(np.uint8)).reason for share in (0.2, 0.15, 0.22, 0.1)}
+    assert len(reasons) == 1
+
+
 def test_a_still_scene_with_sensor_noise_is_not_frozen(texture: np.ndarray) -> None:
     assert not Camera().shows(texture, 40, noise=0.7).degraded
 

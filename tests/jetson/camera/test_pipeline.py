@@ -11,14 +11,14 @@ from common.sim import camera as simulated
 from common.sim.truth import expect
 from services.jetson.camera.config import CameraConfig
 from services.jetson.camera.pipeline import CameraPipeline
-from services.jetson.camera.source import calibrated
+from services.jetson.camera.source import fitted
 
 PERIOD_NS = 66_666_667
 
 
 @pytest.fixture(scope="module")
 def pipeline() -> CameraPipeline:
-    return CameraPipeline(calibrated(CameraConfig()))
+    return CameraPipeline(fitted(CameraConfig()))
 
 
 def run(pipeline: CameraPipeline, scenario: str, times_s: np.ndarray) -> list[CameraDetections]:
@@ -65,7 +65,7 @@ def test_nothing_is_seen_where_nothing_is(pipeline: CameraPipeline) -> None:
 
 
 def test_darkness_clears_the_detections_at_once() -> None:
-    pipeline = CameraPipeline(calibrated(CameraConfig()))
+    pipeline = CameraPipeline(fitted(CameraConfig()))
     image = simulated.image("crossing", 5.0)
     assert pipeline.process(0, image).detections
     dark = pipeline.process(PERIOD_NS, image // 8)
@@ -78,7 +78,7 @@ def test_darkness_clears_the_detections_at_once() -> None:
 
 
 def test_a_frozen_picture_clears_the_detections_after_a_second() -> None:
-    pipeline = CameraPipeline(calibrated(CameraConfig()))
+    pipeline = CameraPipeline(fitted(CameraConfig()))
     image = simulated.image("crossing", 5.0)
     states = [pipeline.process(i * PERIOD_NS, image) for i in range(17)]
     assert states[10].detections

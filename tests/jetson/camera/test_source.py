@@ -12,9 +12,9 @@ import pytest
 from common.config import ConfigError
 from common.sim.world import SCENARIOS
 from common.status import Report
-from services.jetson.camera.config import CameraConfig
+from services.jetson.camera.config import CameraConfig, CaptureConfig
 from services.jetson.camera.frames import Frame
-from services.jetson.camera.source import calibrated, open_source
+from services.jetson.camera.source import fitted, open_source
 
 
 def frames_of(url: str, report: Report, count: int = 1000) -> list[Frame]:
@@ -123,8 +123,16 @@ def test_the_unplugged_simulated_camera_is_lost_and_says_what_to_do(report: Repo
 
 
 def test_the_simulated_camera_knows_its_place_and_a_real_one_is_left_alone() -> None:
-    known = calibrated(CameraConfig())
+    known = fitted(CameraConfig())
     assert (known.lens.f_y_px, known.mount.height_m) == (397.0, 0.24)
     assert CameraConfig().lens == known.lens  # the shipped default is the lens that is simulated
+    half = fitted(CameraConfig(capture=CaptureConfig(width_px=320, height_px=480)))
+    assert (half.lens.f_x_px, half.lens.f_y_px) == (198.5, 397.0)
     real = CameraConfig(source="csi:0")
-    assert calibrated(real) is real
+    assert fitted(real) is real
+
+
+def test_a_photograph_is_still_and_not_frozen_but_a_video_may_freeze() -> None:
+    assert fitted(CameraConfig(source="file:bus.jpg?loop=1")).health.frozen_after_s == 0.0
+    video = CameraConfig(source="file:drive.mp4?loop=1")
+    assert fitted(video) is video
