@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import sys
 from collections.abc import Mapping
@@ -47,12 +48,25 @@ def plan_of(site: Site, host: str, site_file: Path | None) -> Plan:
         listen=(own.loopback,),
         namespace=site.namespace,
         sources={name: place.source for name, place in own.services.items() if place.source},
-        settings={name: (*whereabouts(site, name), *place.set) for name, place in own.services.items()},
+        settings={
+            name: (*whereabouts(site, name), *map(_with_environment, place.set)) for name, place in own.services.items()
+        },
         configs={name: folder / place.config for name, place in own.services.items() if place.config},
         commands={name: place.command for name, place in own.services.items() if place.command},
         site_host=host,
         site_file=site_file,
     )
+
+
+def _with_environment(setting: str) -> str:
+    """``${NAME}`` in a setting comes from the environment, so that a token need not stand in a file."""
+
+    def value(match: re.Match[str]) -> str:
+        if match[1] not in os.environ:
+            raise ConfigError(f"site: set = {setting!r}: {match[1]} is not in the environment")
+        return os.environ[match[1]]
+
+    return re.sub(r"\$\{(\w+)\}", value, setting)
 
 
 def whereabouts(site: Site, service: str) -> tuple[str, ...]:

@@ -110,7 +110,7 @@ class Service:
         self.closed_cleanly = close_session(self.session)
 
     def _report_status(self) -> None:
-        seq, watchdog = 0, Watchdog()
+        seq, watchdog = 0, Watchdog(self.name)
         while not self._stop.is_set():
             self.report.changed.clear()
             status = self.report.snapshot()

@@ -1,19 +1,22 @@
-"""Telling systemd how we are: the datagram protocol of sd_notify(3), without a library.
+"""Telling whoever runs us how we are: systemd by the datagrams of sd_notify(3), a container by a file we touch.
 
-Does nothing unless systemd (or podman) started us with NOTIFY_SOCKET.
+Does nothing unless NOTIFY_SOCKET or SPOTTER_ALIVE (a folder) is set.
 """
 
 from __future__ import annotations
 
 import os
 import socket
+from pathlib import Path
 
 
 class Watchdog:
     """``ready`` once, then ``alive`` only while the work makes progress: silence means restart me."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
         self._address = os.environ.get("NOTIFY_SOCKET", "")
+        folder = os.environ.get("SPOTTER_ALIVE", "")
+        self._file = Path(folder, name) if folder else None
         self._ready = False
 
     @property
@@ -28,6 +31,8 @@ class Watchdog:
 
     def alive(self) -> None:
         self._send("WATCHDOG=1")
+        if self._file is not None:
+            self._file.touch()
 
     def _send(self, text: str) -> None:
         if not self._address:

@@ -36,6 +36,7 @@ EXTRAS_OF = {
     "services/infra_lidar/evaluate.py": {"infra-lidar", "train"},
     "services/infra_lidar/plot.py": {"infra-lidar", "plot"},
     "services/infra_lidar": {"infra-lidar"},
+    "common/security/authority.py": {"keys"},
     "common/sim/camera.py": {"jetson"},
     "common/sim/lidar128.py": {"infra-lidar"},
 }

@@ -5,6 +5,9 @@ from __future__ import annotations
 import typer
 
 from common.cli.demo import demo
+from common.cli.doctor import doctor
+from common.cli.incident import app as incident
+from common.cli.install import install
 from common.cli.keys import keys
 from common.cli.look import echo, health, hz, ls
 from common.cli.record import record
@@ -19,9 +22,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (demo, up, router, ls, echo, hz, health, record, replay):
+for command in (demo, up, router, ls, echo, hz, health, record, replay, doctor, install):
     app.command()(command)
 app.add_typer(keys, name="keys")
+app.add_typer(incident, name="incident")
 
 
 def main() -> None:

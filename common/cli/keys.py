@@ -1,4 +1,4 @@
-"""`spotter keys init | host | laptop | revoke | list | bundle`: the site's authority and its certificates."""
+"""`spotter keys init | host | laptop | all | revoke | list | bundle`: the site's authority and its certificates."""
 
 from __future__ import annotations
 
@@ -55,6 +55,23 @@ def laptop(name: NameArgument, site_file: SiteFile = None, days: Days = None) ->
     except ConfigError as error:
         fail(str(error))
     _issued(folder, name, path, f"on the laptop: SPOTTER_CERTIFICATE=keys/{path.name}", site)
+
+
+@keys.command("all")
+def all_missing(
+    laptops: Annotated[list[str] | None, typer.Argument(help="Laptops that shall have a certificate as well.")] = None,
+    site_file: SiteFile = None,
+) -> None:
+    """Make whatever is missing: the authority, a certificate for each host of the site, and for these laptops."""
+    site, folder = read_site(site_file)
+    if not (folder / "ca.key").exists():
+        init(site_file)
+    for name in site.hosts:
+        if not (folder / f"{name}.crt").exists():
+            host(name, site_file)
+    for name in laptops or []:
+        if not (folder / f"{name}.crt").exists():
+            laptop(name, site_file)
 
 
 @keys.command()

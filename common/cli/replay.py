@@ -22,9 +22,13 @@ def replay(
     loop: Annotated[bool, typer.Option(help="Again and again.")] = False,
     shift: Annotated[bool, typer.Option(help="Make the stamps those of now, so that nothing is too old.")] = True,
     namespace: Annotated[str, typer.Option(help="Where it is played; must have no live services.")] = "replay",
+    verify: Annotated[bool, typer.Option("--verify", help="Do not play: decide every verdict again.")] = False,
     connect: Connect = DEFAULT_ENDPOINT,
 ) -> None:
     """Play recordings on the bus under their own namespace; services and tools follow with --namespace replay."""
+    if verify:
+        verify_recording(files)
+        return
     try:
         from common.recording.player import Pace, Player
         from common.recording.reader import RecordingError
@@ -52,3 +56,25 @@ def replay(
         except RecordingError as error:
             fail(str(error))
     sys.stderr.write(f"\n  {player.played} messages played\n")
+
+
+def verify_recording(files: list[Path]) -> None:
+    """Print what was checked; exit code 1 with the first difference when the recording does not hold."""
+    from common.recording.reader import RecordingError, read
+    from services.jetson.fusion.verify import verify
+
+    for path in files:
+        if not path.is_file():
+            fail(f"{path}: no such file", code=2)
+    try:
+        report = verify((one.key, one.payload) for path in files for one in read(path))
+    except RecordingError as error:
+        fail(str(error))
+    checked = (
+        f"{report.decided_again} of {report.verdicts} verdicts decided again, {report.inputs_checked} inputs checked"
+    )
+    if report.difference:
+        fail(f"{report.difference} ({checked} before that)")
+    if not report.decided_again:
+        fail("nothing to verify: the recording has no fusion/trace beside its verdicts")
+    print(f"identical: {checked}")

@@ -77,7 +77,7 @@ def _serve(config: ZenohConfig) -> bool:
     except ConfigError as error:
         fail(f"{error}; is another router or demo running on {', '.join(config.listen)}?", code=2)
     log.info("listening on %s", ", ".join(config.listen))
-    watchdog = Watchdog()
+    watchdog = Watchdog("router")
     watchdog.ready("routing")
     try:
         while not threading.Event().wait(HEARTBEAT_S):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -14,7 +15,7 @@ from common.cli.site_option import SiteFile, read_site
 from common.config import ConfigError
 from common.hosts import Plan, children, parse_settings, plan_of, services_of
 from common.launch import setup_logging
-from common.supervisor import Supervisor, run_supervised
+from common.supervisor import Child, Supervisor, run_supervised
 from common.topics import ServiceRow
 
 
@@ -32,6 +33,9 @@ def up(
     ] = None,
     sim: Annotated[str, typer.Option("--sim", help="Feed every sensor from this simulated scenario.")] = "",
     site_file: SiteFile = None,
+    only: Annotated[
+        str, typer.Option("--only", help="Become just this service (or `router`): for systemd and containers.")
+    ] = "",
     namespace: Namespace = "spotter",
 ) -> None:
     """Start this host's router and services, restart what dies, stop all of them on Ctrl-C."""
@@ -53,7 +57,17 @@ def up(
         fail(str(error), code=2)
     if config_dir is not None and not config_dir.is_dir():
         fail(f"--config-dir {config_dir}: no such folder", code=2)
+    if only:
+        _become(only, children(rows, plan))
     raise SystemExit(run_supervised(Supervisor(children(rows, plan))))
+
+
+def _become(name: str, processes: list[Child]) -> NoReturn:
+    """Replace this process, so that whoever started us watches the service itself."""
+    for child in processes:
+        if child.name == name:
+            os.execvpe(child.command[0], child.command, {**os.environ, **(child.environment or {})})
+    fail(f"--only {name}: not on this host; it runs {', '.join(child.name for child in processes)}", code=2)
 
 
 def _of_site(host: str, site_file: Path) -> tuple[list[ServiceRow], Plan]:

@@ -1,0 +1,57 @@
+"""`spotter install HOST`: the host's role as systemd units."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from common.cli.fail import fail
+from common.cli.site_option import SiteFile, read_site
+from common.config import ConfigError
+from common.systemd import SYSUSERS, units
+
+UNITS, USERS = Path("/etc/systemd/system"), Path("/etc/sysusers.d/spotter.conf")
+
+
+def install(
+    host: Annotated[str, typer.Argument(help="A host of site.toml.")],
+    site_file: SiteFile = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the units, write nothing.")] = False,
+    to: Annotated[Path, typer.Option("--to", help="Folder for the units.")] = UNITS,
+) -> None:
+    """Write hardened units for this host's router and services, and the user they run as."""
+    site, _ = read_site(site_file)
+    place = str((site_file or Path("/etc/spotter/site.toml")).absolute())
+    program = str(Path(sys.executable).with_name("spotter").absolute())
+    try:
+        files = units(site, host, program, place)
+    except ConfigError as error:
+        fail(str(error), code=2)
+    if dry_run:
+        for name, text in files.items():
+            print(f"# {to / name}\n{text}")
+        return
+    try:
+        to.mkdir(parents=True, exist_ok=True)
+        for name, text in files.items():
+            (to / name).write_text(text)
+        if to == UNITS:
+            USERS.write_text(SYSUSERS)
+    except PermissionError as error:
+        fail(f"{error.filename}: not writable by this user; run it with sudo")
+    print("\n".join(f"wrote {to / name}" for name in files))
+    if to == UNITS:
+        _activate()
+    print("next: chown -R spotter: /etc/spotter/keys && systemctl enable --now spotter.target " + " ".join(files))
+
+
+def _activate() -> None:
+    for command in (["systemd-sysusers"], ["systemctl", "daemon-reload"]):
+        if shutil.which(command[0]) is None:
+            fail(f"{command[0]} is not here: the units are written, but this machine does not run systemd")
+        subprocess.run(command, check=True)

@@ -1,0 +1,1 @@
+"""The checks of `spotter doctor`: each finding says what is wrong and what to do."""

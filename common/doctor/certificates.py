@@ -1,0 +1,95 @@
+"""Checks of the certificates, with the standard library only: a host has no library to make certificates."""
+
+from __future__ import annotations
+
+import ssl
+import stat
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from common.config import ConfigError
+from common.doctor.findings import Finding, broken, ok, warning
+from common.security.names import read_names
+from common.site import Site
+
+SOON_S = 30 * 86_400
+
+
+def check_certificate(site: Site, name: str, keys: Path) -> Iterator[Finding]:
+    """Key pair there, private, matching, signed by the site's authority, in date, not revoked."""
+    if not site.tls.enabled:
+        yield warning("tls", "OPEN MODE: whoever reaches a port may read and say anything", "set [tls] enabled = true")
+        return
+    files = [keys / "ca.crt", keys / f"{name}.crt", keys / f"{name}.key"]
+    for path in files:
+        if not path.exists():
+            yield broken(
+                "certificate", f"{path} is not there", f"`spotter keys host {name}`, then bundle and unpack it"
+            )
+            return
+    if stat.S_IMODE(files[2].stat().st_mode) & 0o077:
+        yield broken("private key", f"{files[2]} can be read by others", f"chmod 600 {files[2]}")
+    try:
+        certificate = peer_certificate(*files)
+    except (ssl.SSLError, OSError) as error:
+        yield broken("certificate", f"{files[1]}: {error}", f"issue it again: `spotter keys host {name}`")
+        return
+    yield _lifetime(certificate, name)
+    yield _register(certificate, name, keys)
+
+
+def peer_certificate(authority: Path, certificate: Path, key: Path) -> dict[str, Any]:
+    """The certificate as a neighbour would see it: from a handshake with ourselves, in memory.
+
+    Raises:
+        ssl.SSLError: pair does not match, another authority, out of date.
+    """
+    ours = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    ours.load_cert_chain(certificate, key)
+    ours.load_verify_locations(authority)
+    ours.verify_mode = ssl.CERT_REQUIRED
+    theirs = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    theirs.load_cert_chain(certificate, key)
+    theirs.load_verify_locations(authority)
+    theirs.check_hostname = False
+    theirs.verify_mode = ssl.CERT_NONE
+    up, down = ssl.MemoryBIO(), ssl.MemoryBIO()
+    server, client = ours.wrap_bio(up, down, server_side=True), theirs.wrap_bio(down, up)
+    waiting = {client, server}
+    while waiting:
+        for side in (client, server):
+            try:
+                side.do_handshake()
+                waiting.discard(side)
+            except ssl.SSLWantReadError:
+                continue
+    found = server.getpeercert()
+    assert found is not None
+    return found
+
+
+def _lifetime(certificate: dict[str, Any], name: str) -> Finding:
+    left_s = ssl.cert_time_to_seconds(certificate["notAfter"]) - time.time()
+    told = f"valid for {left_s / 86_400:.0f} more days"
+    if left_s < SOON_S:
+        return warning("certificate expiry", told, f"`spotter keys host {name}`, copy it, restart the router")
+    return ok("certificate expiry", told)
+
+
+def _register(certificate: dict[str, Any], name: str, keys: Path) -> Finding:
+    common_name = {key: value for ((key, value),) in certificate["subject"]}.get("commonName", "")
+    try:
+        entry = read_names(keys).names.get(name)
+    except ConfigError as error:
+        return broken("names", str(error), "copy names.json from the machine with the authority")
+    if entry is None:
+        return broken("names", f"{name} is not in names.json", "copy names.json from the machine with the authority")
+    if common_name in entry.revoked:
+        return broken("names", f"{common_name} is revoked", f"`spotter keys host {name}` issues a new one")
+    if common_name != entry.common_name(name):
+        return broken(
+            "names", f"CN={common_name}, but {entry.common_name(name)} is allowed", "copy the new certificate"
+        )
+    return ok("names", f"{common_name} is allowed")

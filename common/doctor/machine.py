@@ -1,0 +1,117 @@
+"""Checks that need nobody else: configuration, devices, ports, disk, clock, versions, provider."""
+
+from __future__ import annotations
+
+import ctypes
+import grp
+import importlib
+import importlib.metadata
+import importlib.util
+import json
+import os
+import platform
+import shutil
+import socket
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+from common.doctor.findings import Finding, broken, ok, warning
+from common.site import Site
+from common.supervisor import Child
+
+LOW_DISK_BYTES, NO_DISK_BYTES = 2_000_000_000, 200_000_000
+SHOW_CONFIG_BUDGET_S = 30.0
+_TIME_ERROR = 5  # adjtimex(2): the clock is not synchronised
+_PLACES = {"serial": "{target}", "v4l2": "/dev/video{target}", "spi": "/dev/spidev{target}"}
+
+
+def check_services(processes: list[Child]) -> Iterator[Finding]:
+    """Every service of this host reads its configuration and its device is there."""
+    for child in processes:
+        if child.name == "router":
+            continue
+        if shutil.which(child.command[0]) is None:
+            yield broken(f"{child.name} program", f"{child.command[0]} is not installed", "install this host's extra")
+            continue
+        if not Path(child.command[0]).name.startswith("spotter-"):
+            yield ok(f"{child.name} config", f"{child.command[0]} is not ours: not checked")
+            continue
+        shown = subprocess.run(
+            [*child.command, "--show-config"], capture_output=True, text=True, timeout=SHOW_CONFIG_BUDGET_S, check=False
+        )
+        if shown.returncode:
+            told = (shown.stderr.strip().splitlines() or ["no message"])[-1].removeprefix("spotter: ")
+            yield broken(f"{child.name} config", told, "correct the named key; the README of the service lists them")
+            continue
+        source = json.loads(shown.stdout).get("source", "")
+        yield ok(f"{child.name} config", f"source {source}" if source else "no source of its own")
+        yield from check_device(child.name, source)
+
+
+def check_device(service: str, source: str) -> Iterator[Finding]:
+    """The device file behind a source URL exists and may be used by this user."""
+    scheme, _, rest = source.partition(":")
+    target = rest.partition("?")[0].removeprefix("//")
+    if scheme not in _PLACES or (scheme == "spi" and not target[:1].isdigit()):
+        return
+    path = Path(_PLACES[scheme].format(target=target))
+    check = f"{service} device"
+    if not path.exists():
+        yield broken(check, f"{path} is not there", "check cable, overlay (SPI, UART) and the source in site.toml")
+    elif not os.access(path, os.R_OK | os.W_OK):
+        group = grp.getgrgid(path.stat().st_gid).gr_name
+        yield broken(check, f"{path} may not be used by this user", f"add it to the group: usermod -aG {group} $USER")
+    else:
+        yield ok(check, f"{path} is there and usable")
+
+
+def check_ports(site: Site, host: str) -> Iterator[Finding]:
+    """The router's ports answer, or are free for it."""
+    own = site.host(host)
+    where = own.listen or own.address
+    for name, address, port in (("local_port", "127.0.0.1", own.local_port), ("port", where, own.port)):
+        check = f"{host} {name}"
+        try:
+            socket.create_connection((address, port), timeout=1.0).close()
+            yield ok(check, f"somebody listens on {address}:{port}")
+        except OSError as error:
+            yield broken(
+                check,
+                f"nobody listens on {address}:{port} ({error.strerror or error})",
+                f"start the router: spotter up {host} (or systemctl start spotter-router); is the address this host's?",
+            )
+
+
+def check_machine(folder: Path) -> Iterator[Finding]:
+    """Disk, clock, versions."""
+    free_bytes = shutil.disk_usage(folder).free
+    told, do = f"{free_bytes / 1e9:.1f} GB free in {folder.absolute()}", "delete old recordings or attach a disk"
+    if free_bytes < LOW_DISK_BYTES:
+        yield (broken if free_bytes < NO_DISK_BYTES else warning)("disk", told, do)
+    else:
+        yield ok("disk", told)
+    if _clock_synchronised():
+        yield ok("clock", "the kernel says it is synchronised")
+    else:
+        yield warning("clock", "the kernel says it is not synchronised", "set up chrony or systemd-timesyncd")
+    versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("spotter", "eclipse-zenoh"))
+    yield ok("versions", f"{versions}, Python {platform.python_version()} on {platform.machine()}")
+
+
+def check_provider() -> Iterator[Finding]:
+    """What the camera's network would run on here."""
+    if importlib.util.find_spec("onnxruntime") is None:
+        return
+    onnxruntime = importlib.import_module("onnxruntime")  # an extra of some hosts only
+    available = onnxruntime.get_available_providers()
+    if ("arm" in platform.machine() or "aarch64" in platform.machine()) and available[0] == "CPUExecutionProvider":
+        yield warning("onnxruntime", "runs on the CPU only", "on a Jetson install NVIDIA's onnxruntime build")
+        return
+    yield ok("onnxruntime", f"{onnxruntime.__version__}, first provider {available[0]}")
+
+
+def _clock_synchronised() -> bool:
+    """adjtimex(2) with ``modes`` 0 reads the state of the kernel's clock."""
+    buffer = ctypes.create_string_buffer(1024)
+    return int(ctypes.CDLL(None).adjtimex(buffer)) != _TIME_ERROR
