@@ -150,7 +150,8 @@ class HealthConfig(Section, frozen=True, kw_only=True):
     clutter_db: Positive = 8.0  # limit: static clutter at the antenna off its learned value
     noise_floor_db: float | None = None  # a known noise floor, instead of learning it after every start
     leakage_db: float | None = None  # a known clutter at the antenna
-    saturated_fraction: Probability = 0.01  # samples at the ADC's limits in one frame
+    saturated_fraction: Probability = 0.01  # samples at the ADC's limits in one frame ...
+    saturated_frames: Annotated[int, Meta(ge=1, le=1000)] = 30  # ... for so long; a near car does it for a moment
 
 
 class RadarConfig(ServiceConfig, frozen=True, kw_only=True):

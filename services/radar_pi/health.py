@@ -76,11 +76,11 @@ class HealthMonitor:
         self._saturated = self._saturated + 1 if saturated > self._config.saturated_fraction else 0
         reasons = [note] if note else []
         if frames_to_settle:
-            reasons.append(f"settling: {frames_to_settle} frames to go")
+            reasons.append("settling: the background is not learned yet")
         else:
             reasons += self._off_learned(noise_floor_db, leakage_db)
-        if self._saturated >= self._config.hold_frames:
-            reasons.append(f"saturated: {saturated:.0%} of the samples at the converter's limits, lower if_gain_db")
+        if self._saturated >= self._config.saturated_frames:
+            reasons.append("saturated: samples at the converter's limits; something large is near, or lower if_gain_db")
         return Health("degraded" if reasons else "online", "; ".join(reasons))
 
     def _off_learned(self, noise_floor_db: float, leakage_db: float) -> list[str]:
