@@ -24,8 +24,9 @@ class Clutter:
         self.frames = 0
 
     @property
-    def frames_to_settle(self) -> int:
-        return max(0, self._settling_frames - self.frames)
+    def settled(self) -> bool:
+        """False for the first ``settling_frames`` frames."""
+        return self.frames > self._settling_frames
 
     def remove(self, profiles: np.ndarray) -> np.ndarray:
         """Subtract what earlier frames have learned, then learn from this one: (rx, chirp, bin) complex64."""

@@ -70,12 +70,12 @@ class HealthMonitor:
         self._saturated = 0
 
     def judge(
-        self, frames_to_settle: int, saturated: float, noise_floor_db: float, leakage_db: float, note: str = ""
+        self, settled: bool, saturated: float, noise_floor_db: float, leakage_db: float, note: str = ""
     ) -> Health:
         """State and reason of this frame. While settling nothing is learned. ``note`` is the driver's."""
         self._saturated = self._saturated + 1 if saturated > self._config.saturated_fraction else 0
         reasons = [note] if note else []
-        if frames_to_settle:
+        if not settled:
             reasons.append("settling: the background is not learned yet")
         else:
             reasons += self._off_learned(noise_floor_db, leakage_db)

@@ -81,9 +81,7 @@ class RadarPipeline:
         tracks = self.tracker.update(stamp_ns, detections)
         # 6. can the radar see at all?
         floor_db = noise_floor_db(self.row_noise.estimate(power[self.axes.near_bin :]))
-        health = self.health.judge(
-            self.clutter.frames_to_settle, saturated_fraction(frame), floor_db, self._leakage_db(), note
-        )
+        health = self.health.judge(self.clutter.settled, saturated_fraction(frame), floor_db, self._leakage_db(), note)
         # 7. what each track means
         self._power, self._detections = power, detections
         self._result = self._message(stamp_ns, tracks, ego_speed_mps, health, floor_db)
@@ -161,7 +159,7 @@ class RadarPipeline:
             reason=health.reason,
             tracks=reports,
             level=worst(*(report.level for report in reports)),
-            settled=self.clutter.frames_to_settle == 0,
+            settled=self.clutter.settled,
             noise_floor_db=floor_db,
             static_level=static_level(standing, self.config.alarm),
             v_max_mps=self.axes.v_max_mps,

@@ -41,15 +41,15 @@ def test_memory_zero_is_the_frame_difference() -> None:
     assert np.allclose(clutter.remove(still(6.0)), 1.0)
 
 
-def test_settling_counts_down_and_starts_again_after_a_reset() -> None:
+def test_settling_lasts_its_frames_and_starts_again_after_a_reset() -> None:
     clutter = Clutter(MEMORY, 3)
     seen = []
     for _ in range(5):
         clutter.remove(still(1.0))
-        seen.append(clutter.frames_to_settle)
-    assert seen == [2, 1, 0, 0, 0]
+        seen.append(clutter.settled)
+    assert seen == [False, False, False, True, True]
     clutter.reset()
-    assert clutter.frames_to_settle == 3
+    assert not clutter.settled
     assert clutter.background is None
 
 

@@ -9,7 +9,7 @@ from services.radar_pi.config import HealthConfig
 from services.radar_pi.health import Health, HealthMonitor, saturated_fraction
 
 CONFIG = HealthConfig(learn_frames=5, hold_frames=4, saturated_frames=4)
-GOOD = {"frames_to_settle": 0, "saturated": 0.0, "noise_floor_db": 16.0, "leakage_db": 60.0}
+GOOD = {"settled": True, "saturated": 0.0, "noise_floor_db": 16.0, "leakage_db": 60.0}
 
 
 def watch(monitor: HealthMonitor, frames: int, **changed: float) -> list[Health]:
@@ -23,7 +23,7 @@ def learned(config: HealthConfig = CONFIG) -> HealthMonitor:
 
 
 def test_settling_is_degraded() -> None:
-    health = HealthMonitor(CONFIG).judge(7, 0.0, 16.0, 60.0)
+    health = HealthMonitor(CONFIG).judge(False, 0.0, 16.0, 60.0)
     assert (health.state, health.reason) == ("degraded", "settling: the background is not learned yet")
 
 
@@ -59,7 +59,7 @@ def test_three_good_frames_recover() -> None:
 
 def test_nothing_is_learned_while_settling() -> None:
     monitor = HealthMonitor(CONFIG)
-    watch(monitor, 20, frames_to_settle=3, noise_floor_db=50.0)
+    watch(monitor, 20, settled=False, noise_floor_db=50.0)
     watch(monitor, CONFIG.learn_frames)
     assert watch(monitor, 6)[-1].state == "online"
 
@@ -70,7 +70,7 @@ def test_known_values_need_no_learning() -> None:
 
 
 def test_the_drivers_note_is_passed_on() -> None:
-    health = learned().judge(0, 0.0, 16.0, 60.0, "interrupt line is dead: polling")
+    health = learned().judge(True, 0.0, 16.0, 60.0, "interrupt line is dead: polling")
     assert (health.state, health.reason) == ("degraded", "interrupt line is dead: polling")
 
 

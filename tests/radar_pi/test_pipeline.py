@@ -98,9 +98,9 @@ def test_a_body_that_appears_and_stands_is_static_and_silent() -> None:
 
 def test_settling_is_reported_and_over_after_fifteen_frames() -> None:
     pipeline = RadarPipeline(CONFIG)
-    messages = [pipeline.process(i * PERIOD_NS, empty(i)) for i in range(16)]
-    assert [message.settled for message in messages] == [False] * 14 + [True] * 2
-    assert [message.state for message in messages] == ["degraded"] * 14 + ["online"] * 2
+    messages = [pipeline.process(i * PERIOD_NS, empty(i)) for i in range(17)]
+    assert [message.settled for message in messages] == [False] * 15 + [True] * 2
+    assert [message.state for message in messages] == ["degraded"] * 15 + ["online"] * 2
     assert messages[0].reason == "settling: the background is not learned yet"
 
 
@@ -139,7 +139,7 @@ def test_a_covered_antenna_and_a_lost_transmitter_are_noticed() -> None:
         config = RadarConfig(health=msgspec.structs.replace(CONFIG.health, learn_frames=10, hold_frames=5))
         pipeline = RadarPipeline(config)
         for i in range(26):
-            assert pipeline.process(i * PERIOD_NS, empty(i)).state == ("degraded" if i < 14 else "online")
+            assert pipeline.process(i * PERIOD_NS, empty(i)).state == ("degraded" if i < 15 else "online")
         changed = [Target(t.range_m, amplitude_lsb=change * t.amplitude_lsb) for t in LEAKAGE]
         for i in range(26, 60):
             message = pipeline.process(i * PERIOD_NS, simulate(changed, SHAPE, seed=i))
