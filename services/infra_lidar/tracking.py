@@ -19,7 +19,7 @@ from services.infra_lidar.classes import BACKGROUND, CLASSES, LABELS, UNKNOWN
 from services.infra_lidar.config import TrackingConfig
 from services.infra_lidar.tracking_assign import associate, pair_costs
 from services.infra_lidar.tracking_filter import TRACK, TRAIL, predict
-from services.infra_lidar.tracking_shape import judge_movement, update_pairs
+from services.infra_lidar.tracking_shape import judge_movement, note_places, pieces_of_known, update_pairs
 
 assert set(LABELS) == set(get_args(ObjectLabel))
 
@@ -153,7 +153,9 @@ class MultiObjectTracker:
     def _retire(self) -> None:
         c = self._config
         unseen_ns = self._stamp_ns - self._tracks["seen_ns"]
-        allowed_ns = np.where(self._tracks["confirmed"], round(c.coast_s * 1e9), round(c.tentative_gap_s * 1e9))
+        known_ns = self._tracks["seen_ns"] - self._tracks["born_ns"]
+        coast_ns = np.minimum(round(c.coast_s * 1e9), known_ns)  # nobody waits for long for what was seen for a moment
+        allowed_ns = np.where(self._tracks["confirmed"], coast_ns, round(c.tentative_gap_s * 1e9))
         if np.any(unseen_ns > allowed_ns):
             self._tracks = self._tracks[unseen_ns <= allowed_ns]
 
@@ -163,6 +165,8 @@ class MultiObjectTracker:
     ) -> None:  # fmt: skip
         c = self._config
         free = np.array([d for d in free if detections.labels[d] != CLASSES[BACKGROUND]], np.int64)
+        if c.boxes == "visible" and len(free):
+            free = free[~pieces_of_known(self._tracks, position[free], size[free], chances[free])]
         if not len(free):
             return
         new = np.zeros(len(free), TRACK)
@@ -173,9 +177,9 @@ class MultiObjectTracker:
         new["cov"] = np.diag([plane, plane, height, speed, speed, 1.0])
         new["votes"], new["points"], new["detection"] = chances[free], points[free], free
         new["born_ns"] = new["seen_ns"] = self._stamp_ns
-        new["hits"], new["frames"] = 1, 1
+        new["hits"], new["run"], new["frames"] = 1, 1, 1
         new["confirmed"] = c.confirm_hits <= 1 and c.confirm_s <= 0.0
-        new["trail"][:, self._frame % TRAIL] = position[free, :2]
+        note_places(new, self._frame % TRAIL)
         new["score"] = np.clip(np.asarray(detections.confidence, np.float64)[free], 0.0, 1.0) * 0.5
         self._tracks = np.concatenate((self._tracks, new))
 

@@ -29,6 +29,12 @@ def associate(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @_jit
+def _another_size(known: np.ndarray, seen: np.ndarray) -> bool:
+    """A track may lose most of its visible part, but does not become several times as large in one turn."""
+    return max(seen[0], seen[1]) > 2.5 * max(known[0], known[1]) + 1.0
+
+
+@_jit
 def pair_costs(
     tracks: np.ndarray, position: np.ndarray, size: np.ndarray, yaw: np.ndarray, chances: np.ndarray,
     sigma: float, height_sigma: float, gate: float, class_weight: float, visible: bool,
@@ -45,6 +51,8 @@ def pair_costs(
         for d in range(len(position)):
             beyond = reach + (0.5 * (size[d, 0] + size[d, 1]) if visible else 0.0)
             if abs(position[d, 0] - mean[0]) > beyond or abs(position[d, 1] - mean[1]) > beyond:
+                continue
+            if visible and _another_size(track.size, size[d]):
                 continue
             innovation(mean, track.size, track.yaw, position[d], size[d], yaw[d], sigma, visible, pair)
             sxx, sxy, syy = cov[0, 0] + pair[2], cov[0, 1] + pair[3], cov[1, 1] + pair[4]

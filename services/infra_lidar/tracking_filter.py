@@ -28,12 +28,13 @@ TRACK = np.dtype(
         ("born_ns", np.int64),
         ("seen_ns", np.int64),
         ("hits", np.int64),
+        ("run", np.int64),  # hits without a miss in between
         ("confirmed", np.bool_),
         ("moving", np.bool_),
         ("score", np.float64),
         ("points", np.int64),
         ("detection", np.int64),  # index in the last frame, -1 = none
-        ("trail", np.float64, (TRAIL, 2)),  # where it was, a ring over frames
+        ("trail", np.float64, (TRAIL, 4)),  # where it was: x, y and half extents along x and y; a ring over frames
         ("frames", np.int64),  # since birth
     ]
 )

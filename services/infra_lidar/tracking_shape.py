@@ -1,11 +1,11 @@
 """What an update changes beside the filter: size, heading, class votes, and whether the track has moved at all.
 
 Movement. The velocity of a filter is never exactly 0, least of all for a bush whose visible part changes with every
-turn. So a track counts as standing, and reports velocity 0, until a detection shows that it has come far enough from
-where it was ``movement_s`` ago: farther than ``movement_m`` plus what its visible extent usually differs by, and than
-three sigma of its position, over at least five frames (three if twice as far), on a way that is straight (net
-displacement over 60 % of the path) and no single jump (no step over 60 % of it). Once moving it stays so until the
-displacement falls under half of that.
+turn. So a track counts as standing, and reports velocity 0, until a detection shows that its edges have come far enough
+from where they were ``movement_s`` ago: farther than ``movement_m`` plus what the visible extent usually differs by,
+and than three sigma of the position, after at least six detections (four in a row if twice as far), on a way that is
+straight (net displacement over 60 % of the path) and no single jump (no step over 60 % of it). Once moving it stays so
+until the displacement falls under half of that.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from services.infra_lidar.tracking_filter import TRAIL, correct, extents_along, innovation
+from services.infra_lidar.tracking_filter import TRAIL, correct, edge_shift, extents_along, innovation
 
+_SAME_CLASS = 0.3  # chance of being of one class from which on a piece may belong to a whole
+_BREAKABLE_M2 = 2.0  # a vehicle may fall apart into pieces; two people who part are two people
 _HEADING_MPS = 1.5  # from this speed on the heading is where the track goes
 _jit = njit(nogil=True, cache=True, error_model="numpy")
 
@@ -68,7 +70,8 @@ def _follow_size(
 
 @_jit
 def _resize(size: np.ndarray, axis: int, measured: float, left: float, gain: float, visible: bool) -> float:
-    rate = gain if measured > size[axis] or not visible else 0.1 * gain
+    shrink = 0.1 if size[axis] > 1.5 else 0.5
+    rate = gain if measured > size[axis] or not visible else shrink * gain
     change = rate * (measured - size[axis])
     size[axis] += change
     room = 0.5 * abs(change) if visible else 0.0
@@ -99,25 +102,71 @@ def _wrap(angle: float) -> float:
 
 
 @_jit
+def note_place(track: Any, slot: int) -> None:
+    """Write centre and axis-parallel half extents into a slot of the trail."""
+    c, s, place = abs(math.cos(track.yaw)), abs(math.sin(track.yaw)), track.trail[slot]
+    place[0], place[1] = track.mean[0], track.mean[1]
+    place[2] = 0.5 * (c * track.size[0] + s * track.size[1])
+    place[3] = 0.5 * (s * track.size[0] + c * track.size[1])
+
+
+@_jit
+def note_places(tracks: np.ndarray, slot: int) -> None:
+    """The same for all of them."""
+    for t in range(len(tracks)):
+        note_place(tracks[t], slot)
+
+
+@_jit
+def _way(now: np.ndarray, then: np.ndarray) -> float:
+    """How far the edges say it has come."""
+    along, _ = edge_shift(now[0] - then[0], 2.0 * now[2], 2.0 * then[2])
+    across, _ = edge_shift(now[1] - then[1], 2.0 * now[3], 2.0 * then[3])
+    return math.hypot(along, across)
+
+
+@_jit
 def judge_movement(tracks: np.ndarray, slot: int, back: int, movement_m: float) -> None:
-    """Write the present position into ring slot ``slot`` and decide who moves; ``back`` frames are looked at."""
+    """Write the present place into ring slot ``slot`` and decide who moves; ``back`` frames are looked at."""
     for t in range(len(tracks)):
         track = tracks[t]
-        track.trail[slot, 0], track.trail[slot, 1] = track.mean[0], track.mean[1]
+        note_place(track, slot)
         steps = min(back, track.frames, TRAIL - 1)
         track.frames += 1
-        if steps < 3 or track.detection < 0:
+        track.run = track.run + 1 if track.detection >= 0 else 0
+        if steps < 3 or max(track.run, track.hits - 2) < 4 or track.detection < 0:
             continue
         path = largest = 0.0
         for k in range(steps):
             now, before = track.trail[(slot - k) % TRAIL], track.trail[(slot - k - 1) % TRAIL]
             step = math.hypot(now[0] - before[0], now[1] - before[1])
             path, largest = path + step, max(largest, step)
-        then = track.trail[(slot - steps) % TRAIL]
-        net = math.hypot(track.mean[0] - then[0], track.mean[1] - then[1])
+        net = _way(track.trail[slot], track.trail[(slot - steps) % TRAIL])
         needed = max(movement_m + track.wobble, 3.0 * math.sqrt(max(track.cov[0, 0], track.cov[1, 1])))
         if track.moving:
             track.moving = net > 0.5 * needed
         else:
-            far = net > needed if steps >= 5 else net > 2.0 * needed
+            sure = steps >= 5 and track.hits >= 6
+            far = net > needed if sure else net > 2.0 * needed
             track.moving = far and net > 0.6 * path and largest < 0.6 * net
+
+
+@_jit
+def pieces_of_known(tracks: np.ndarray, position: np.ndarray, size: np.ndarray, chances: np.ndarray) -> np.ndarray:
+    """(K,) bool: the detection lies inside the box of a confirmed track that was seen in this frame, is smaller, and
+    may well be of its class: a piece of an object that the clustering broke, and no object of its own."""
+    piece = np.zeros(len(position), np.bool_)
+    for t in range(len(tracks)):
+        track = tracks[t]
+        if not track.confirmed or track.detection < 0 or track.size[0] * track.size[1] < _BREAKABLE_M2:
+            continue
+        c, s, total = math.cos(track.yaw), math.sin(track.yaw), track.votes.sum()
+        for d in range(len(position)):
+            dx, dy = position[d, 0] - track.mean[0], position[d, 1] - track.mean[1]
+            inside = abs(c * dx + s * dy) < 0.5 * track.size[0] and abs(c * dy - s * dx) < 0.5 * track.size[1]
+            if inside and size[d, 0] * size[d, 1] < 0.7 * track.size[0] * track.size[1]:
+                same = 0.0
+                for k in range(len(track.votes)):
+                    same += track.votes[k] * chances[d, k]
+                piece[d] |= same > _SAME_CLASS * total
+    return piece

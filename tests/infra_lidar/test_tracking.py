@@ -257,3 +257,46 @@ def test_the_order_of_detections_does_not_matter() -> None:
         frames = [detections(*[(places[k][0] + 0.3 * i, places[k][1]) for k in order]) for i in range(8)]
         results.append(sorted(tuple(np.round(track.position_m, 9)) for track in run(frames)[-1]))
     assert all(result == results[0] for result in results)
+
+
+def test_a_piece_that_breaks_off_a_car_founds_no_track() -> None:
+    whole = [detections((10.0, 0.0))] * 8
+    broken = Detections(
+        position_m=np.array([[9.0, 0, 0.75], [11.2, 0, 0.75]]), size_m=np.array([[2.4, 1.8, 1.5], [1.6, 1.7, 1.4]]),
+        yaw_rad=np.zeros(2), labels=["car", "car"], confidence=np.array([0.9, 0.6]),
+    )  # fmt: skip
+    out = run([*whole, *[broken] * 8])
+    assert [len(tracks) for tracks in out] == [1] * 16
+    assert out[-1][0].position_m[0] == pytest.approx(10.0, abs=0.5)
+
+
+def test_a_person_who_steps_out_of_a_car_does() -> None:
+    car, person = detections((10.0, 0.0)), detections((10.0, 0.8), size=PERSON, label="pedestrian")
+    both = Detections(
+        *(np.concatenate((getattr(car, name), getattr(person, name))) for name in ("position_m", "size_m", "yaw_rad")),
+        labels=["car", "pedestrian"], confidence=np.array([0.9, 0.9]),
+    )  # fmt: skip
+    out = run([*[car] * 8, *[both] * 8])
+    assert sorted(track.label for track in out[-1]) == ["car", "pedestrian"]
+
+
+def test_two_people_who_part_become_two_tracks() -> None:
+    group = detections((5.0, 0.0), size=(1.2, 0.6, 1.7), label="pedestrian")
+    parted = [
+        detections((4.7 - 0.1 * i, 0.0), (5.3 + 0.1 * i, 0.0), size=PERSON, label="pedestrian") for i in range(12)
+    ]
+    out = run([*[group] * 6, *parted])
+    assert [track.state for track in out[-1]] == ["confirmed", "confirmed"]
+
+
+def test_a_small_thing_does_not_turn_into_a_wall() -> None:
+    """Where a hedge falls into other pieces in every turn, a small one must not take over a long one."""
+    small, wall = detections((5.0, 0.0), size=(1.5, 0.6, 1.5)), detections((5.5, 0.0), size=(10.9, 3.3, 3.0))
+    out = run([*[small] * 6, wall])
+    assert sorted(track.state for track in out[-1]) == ["coasting", "tentative"]
+
+
+def test_what_was_seen_for_a_moment_is_not_waited_for() -> None:
+    config = TrackingConfig(coast_s=2.0)
+    out = run([detections((5.0, 0.0))] * 4 + [detections()] * 8, config)
+    assert [len(tracks) for tracks in out[4:]] == [1, 1, 1, 0, 0, 0, 0, 0]
