@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import os
 import selectors
+import shutil
 import subprocess
 from types import TracebackType
 
@@ -36,17 +37,16 @@ class CaptureChild:
         self._selector = selectors.DefaultSelector()
 
     def __enter__(self) -> CaptureChild:
-        try:
-            self._process = subprocess.Popen(
-                self._command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                start_new_session=True,  # Ctrl-C is for the service, which then ends the child itself
-                bufsize=0,
-            )
-        except FileNotFoundError:
-            raise CaptureLost(f"{self._command[0]} is not installed") from None
+        if shutil.which(self._command[0]) is None:
+            raise CaptureLost(f"{self._command[0]} is not installed")
+        self._process = subprocess.Popen(
+            _bound_to_us(self._command),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C is for the service, which then ends the child itself
+            bufsize=0,
+        )
         assert self._process.stdout is not None
         assert self._process.stderr is not None
         self._out, self._err = self._process.stdout.fileno(), self._process.stderr.fileno()
@@ -125,3 +125,9 @@ class CaptureChild:
         lines = self._stderr.decode(errors="replace").split("\n")
         errors = [line.strip() for line in lines if "ERROR" in line] or [line.strip() for line in lines if line.strip()]
         return f": {errors[0][:200]}" if errors else ""
+
+
+def _bound_to_us(command: list[str]) -> list[str]:
+    """The child dies with us even when we are killed: a hung one would keep the camera from our successor."""
+    setpriv = shutil.which("setpriv")  # util-linux; it becomes the command, so the process id stays
+    return [setpriv, "--pdeathsig", "KILL", "--", *command] if setpriv else command

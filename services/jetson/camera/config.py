@@ -69,6 +69,7 @@ class DetectorConfig(Section, frozen=True, kw_only=True):
     classes: tuple[str, ...] = ()  # empty = every class of the network
     threads: Annotated[int, Meta(ge=1, le=64)] = 2
     providers: tuple[Provider, ...] = ("TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider")
+    tensorrt_cache: str = ""  # folder that keeps the engines TensorRT builds for minutes; empty = built at every start
     dynamic_input_px: Annotated[int, Meta(ge=32, le=4096, multiple_of=32)] = 640  # for models without a fixed size
 
 

@@ -136,13 +136,20 @@ def _open(path: Path, config: DetectorConfig) -> onnxruntime.InferenceSession:
     options.inter_op_num_threads = 1
     options.log_severity_level = 3
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # leave the cores to the other services
-    available = onnxruntime.get_available_providers()
-    providers = [name for name in config.providers if name in available] or ["CPUExecutionProvider"]
+    providers = choose_providers(config, onnxruntime.get_available_providers())
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=providers)
     except _LOAD_ERRORS as error:
         first_line = str(error).splitlines()[0]
         raise ModelError(f"{path}: expected an ONNX network; found a file that does not load: {first_line}") from None
+
+
+def choose_providers(config: DetectorConfig, available: list[str]) -> list[tuple[str, dict[str, object]]]:
+    """What onnxruntime shall try, in the order of the configuration, with options; the CPU if nothing else is there."""
+    cache = {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(Path(config.tensorrt_cache).expanduser())}
+    options = {"TensorrtExecutionProvider": cache if config.tensorrt_cache else {}}
+    chosen = [name for name in config.providers if name in available] or ["CPUExecutionProvider"]
+    return [(name, options.get(name, {})) for name in chosen]
 
 
 def _check(session: onnxruntime.InferenceSession, path: Path) -> tuple[onnxruntime.NodeArg, list[str]]:

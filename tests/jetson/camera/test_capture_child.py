@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -31,6 +32,7 @@ from services.jetson.camera.source import open_source
 
 WIDTH, HEIGHT = 64, 48
 BUDGET_S = 30.0
+REPOSITORY = Path(__file__).parents[3]
 
 # Says its process id, then one picture every 20 ms whose pixels count up; in its first life it may misbehave.
 CHILD = """
@@ -69,11 +71,11 @@ def lives(place: Path) -> list[int]:
 
 
 def gone(pid: int) -> bool:
+    """No such process, or one that is dead and only not yet collected by its parent."""
     try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except (FileNotFoundError, ProcessLookupError):
         return True
-    return False
 
 
 def until(condition: Callable[[], object], what: str) -> None:
@@ -219,6 +221,22 @@ def test_a_silent_child_is_given_up_after_the_start_timeout(place: Path) -> None
     ):
         child.read(0.2)
     assert gone(child.pid)
+
+
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="setpriv (util-linux) is not installed")
+def test_a_hung_child_dies_with_a_service_that_is_killed(place: Path) -> None:
+    """kill -9 leaves no time to clean up, and a child that writes nothing never meets the closed pipe."""
+    silent = [sys.executable, "-c", "import time; time.sleep(1000)"]
+    parent = (
+        "import os, signal\n"
+        "from services.jetson.camera.child import CaptureChild\n"
+        f"with CaptureChild({silent!r}, 8, 8) as child:\n"
+        "    print(child.pid, flush=True)\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", parent], capture_output=True, cwd=REPOSITORY, check=False)
+    assert done.returncode == -signal.SIGKILL
+    until(lambda: gone(int(done.stdout)), "the end of the orphan")
 
 
 def test_a_v4l2_device_that_is_not_there_is_told_without_starting_a_child() -> None:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.jetson.camera.config import DetectorConfig
-from services.jetson.camera.detector import Boxes, Detector, ModelError, decode, suppress
+from services.jetson.camera.detector import Boxes, Detector, ModelError, choose_providers, decode, suppress
 
 ModelMaker = Callable[..., Path]
 
@@ -155,3 +155,25 @@ def test_an_unknown_class_is_refused_with_the_known_ones(make_model: ModelMaker)
     path = make_model(columns((48, 32, 24, 32, 0.1, 0.8))[None])
     with pytest.raises(ModelError, match=r"\['lorry'\].*person, car"):
         Detector(DetectorConfig(model=str(path), classes=("lorry",)))
+
+
+TENSORRT, CUDA, CPU = "TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"
+
+
+@pytest.mark.parametrize(
+    ("available", "chosen"),
+    [
+        ([CPU], [CPU]),
+        ([CPU, CUDA, TENSORRT], [TENSORRT, CUDA, CPU]),  # our order, not the library's
+        (["AzureExecutionProvider", CPU, CUDA], [CUDA, CPU]),
+        (["AzureExecutionProvider"], [CPU]),
+    ],
+)
+def test_providers_are_tried_in_order(available: list[str], chosen: list[str]) -> None:
+    assert [name for name, _ in choose_providers(DetectorConfig(), available)] == chosen
+
+
+def test_tensorrt_keeps_its_engines_where_it_is_told() -> None:
+    (name, options), *_ = choose_providers(DetectorConfig(tensorrt_cache="/var/cache/spotter"), [TENSORRT, CPU])
+    assert (name, options["trt_engine_cache_path"]) == (TENSORRT, "/var/cache/spotter")
+    assert choose_providers(DetectorConfig(), [TENSORRT])[0] == (TENSORRT, {})
