@@ -300,6 +300,15 @@ class Verdict(Message, kw_only=True):
     deciding: dict[str, object] | None = None  # the object or zone behind it, in its message's own fields
 
 
+class FusionTrace(Message, kw_only=True):
+    """Everything one verdict was decided from, so that anybody can decide it again."""
+
+    verdict_seq: Count
+    inputs: dict[Name, object]  # services.jetson.fusion.evidence.FusionInputs
+    memory: dict[Name, object]  # FusionMemory before the verdict
+    rules: dict[Name, object]  # RulesConfig in force
+
+
 class SensorHealth(msgspec.Struct, kw_only=True):
     state: SensorState
     reason: Text

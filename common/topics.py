@@ -90,6 +90,7 @@ INFRA_POINTS = Topic(
 )  # fmt: skip
 FUSION_VERDICT = Topic("fusion", "verdict", m.Verdict, 20.0, 0.25, priority="interactive_high")
 FUSION_HEALTH = Topic("fusion", "health", m.SystemHealth, 2.0, 2.0, priority="interactive_high")
+FUSION_TRACE = Topic("fusion", "trace", m.FusionTrace, 20.0, on_demand=True)
 EGO_MOTION = Topic("ego", "motion", m.EgoMotion, 20.0, 0.5, priority="data_high")
 
 DATA_TOPICS: tuple[Topic, ...] = (
@@ -104,6 +105,7 @@ DATA_TOPICS: tuple[Topic, ...] = (
     INFRA_POINTS,
     FUSION_VERDICT,
     FUSION_HEALTH,
+    FUSION_TRACE,
     EGO_MOTION,
 )
 

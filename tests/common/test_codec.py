@@ -78,6 +78,7 @@ EXAMPLES: list[m.Message] = [
         blind=False,
         permission="GO",
     ),
+    m.FusionTrace(**HEADER, verdict_seq=3, inputs={"now_s": 1.5}, memory={}, rules={"suppression": "limited"}),
     m.SystemHealth(**HEADER, sensors={}, colour="green", summary="ALL SENSORS ONLINE", services={}),
 ]
 by_name = pytest.mark.parametrize("message", EXAMPLES, ids=lambda message: type(message).__name__)

@@ -1,0 +1,63 @@
+"""Arrivals in, complete incidents out. No network, no clock: time is that of the arrivals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from common.codec import DecodeError, decode
+from common.topics import FUSION_HEALTH, FUSION_VERDICT, Topic
+from services.blackbox.config import BlackboxConfig
+from services.blackbox.ring import Kept, Ring
+from services.blackbox.trigger import Incident, Trigger
+
+
+@dataclass(frozen=True)
+class Saved:
+    """An incident whose window has passed, with everything in it."""
+
+    incident: Incident
+    kept: list[Kept]
+
+
+class BlackboxPipeline:
+    """Keeps the ring and the open incident; what happens during an open incident's window belongs to it."""
+
+    def __init__(self, config: BlackboxConfig) -> None:
+        self._before_ns, self._after_ns = int(config.before_s * 1e9), int(config.after_s * 1e9)
+        self._ring = Ring(config.before_s + config.after_s + 2.0, int(config.max_mb * 1e6))
+        self._trigger = Trigger(config)
+        self._triggers: dict[str, Topic] = {
+            topic.key(config.fusion_host): topic for topic in (FUSION_VERDICT, FUSION_HEALTH)
+        }
+        self._open: tuple[Incident, int] | None = None  # and when it came here
+
+    def process(self, now_ns: int, kept: Kept | None) -> Saved | None:
+        """Take one arrival (or None: time passes); returns an incident when its window is complete."""
+        # Keep it
+        if kept is not None:
+            self._ring.add(kept)
+
+        # Is it the beginning of an incident?
+        incident = self._look(kept) if kept is not None else None
+        if incident is not None and self._open is None:
+            self._open = (incident, now_ns)
+
+        # Has the open one's window passed?
+        if self._open is None or now_ns - self._open[1] < self._after_ns:
+            return None
+        (incident, at_ns), self._open = self._open, None
+        return Saved(incident, self._ring.window(at_ns - self._before_ns, at_ns + self._after_ns))
+
+    def save(self, now_ns: int, incident: Incident) -> None:
+        """A person asks for it; an incident that is open already goes on."""
+        if self._open is None:
+            self._open = (incident, now_ns)
+
+    def _look(self, kept: Kept) -> Incident | None:
+        topic = self._triggers.get(kept.key)
+        if topic is None:
+            return None
+        try:
+            return self._trigger.see(decode(kept.payload, topic.message, topic.max_bytes))
+        except DecodeError:
+            return None

@@ -1,0 +1,64 @@
+"""Gives capsules to whoever may ask: a list, and a file in parts; and takes the wish to save one now."""
+
+from __future__ import annotations
+
+import json
+import queue
+from pathlib import Path
+
+import zenoh
+
+from common.clock import utc_ns
+from common.runtime import Service
+from services.blackbox.capsule import incidents
+from services.blackbox.trigger import NAME, Incident, incident_name
+
+PART_BYTES = 1_000_000
+
+
+class CapsuleServer:
+    """Queryables ``<host>/blackbox/incidents``, ``.../capsule?name=...;part=...`` and ``.../save?why=...``."""
+
+    def __init__(self, service: Service, folder: Path) -> None:
+        self.wishes: queue.Queue[Incident] = queue.Queue(16)
+        self._host = service.host
+        self._folder = folder
+        base = f"{service.host}/blackbox"
+        self._queryables = [
+            service.session.declare_queryable(f"{base}/incidents", self._list),
+            service.session.declare_queryable(f"{base}/capsule", self._capsule),
+            service.session.declare_queryable(f"{base}/save", self._save),
+        ]
+
+    def _list(self, query: zenoh.Query) -> None:
+        with query:
+            names = [name for name in incidents(self._folder) if self._path(name).is_file()]
+            query.reply(str(query.key_expr), json.dumps(names), encoding="application/json")
+
+    def _capsule(self, query: zenoh.Query) -> None:
+        with query:
+            name = query.parameters.get("name") or ""
+            part = query.parameters.get("part") or "0"
+            if not NAME.match(name) or not part.isdigit() or not self._path(name).is_file():
+                query.reply_err(b"no such capsule here")
+                return
+            with self._path(name).open("rb") as stream:
+                stream.seek(int(part) * PART_BYTES)
+                query.reply(str(query.key_expr), stream.read(PART_BYTES))
+
+    def _save(self, query: zenoh.Query) -> None:
+        """Every host takes the asker's time and words, so that all capsules carry one name."""
+        with query:
+            why = (query.parameters.get("why") or "asked for")[:200]
+            at = query.parameters.get("at_ns") or ""
+            at_ns = int(at) if at.isdigit() and len(at) < 20 else utc_ns()
+            incident = Incident(incident_name(at_ns, "saved"), at_ns, why)
+            try:
+                self.wishes.put_nowait(incident)
+            except queue.Full:
+                query.reply_err(b"too many wishes at once")
+                return
+            query.reply(str(query.key_expr), json.dumps({"incident": incident.name}), encoding="application/json")
+
+    def _path(self, name: str) -> Path:
+        return self._folder / name / f"{self._host}.mcap"
