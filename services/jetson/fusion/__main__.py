@@ -4,23 +4,32 @@ from __future__ import annotations
 
 from common.launch import service_app
 from common.runtime import Service
-from common.topics import FUSION_HEALTH, FUSION_VERDICT
+from common.topics import FUSION_HEALTH, FUSION_TRACE, FUSION_VERDICT
 from services.jetson.fusion.config import FusionConfig
+from services.jetson.fusion.journal import Journal
 from services.jetson.fusion.pipeline import FusionPipeline
 from services.jetson.fusion.source import observe
+from services.jetson.fusion.trace import trace_of
 
 
 def run(config: FusionConfig) -> bool:
-    pipeline = FusionPipeline(config)
+    pipeline, journal = FusionPipeline(config), Journal()
     with Service("fusion", config) as service:
         publish_verdict = service.publisher(FUSION_VERDICT)
         publish_health = service.publisher(FUSION_HEALTH)
+        publish_trace = service.publisher(FUSION_TRACE)
         for observation in observe(service, config):
             verdict, health = pipeline.process(observation)
             publish_verdict(verdict)
+            journal.note_verdict(verdict)
+            if publish_trace.wanted and pipeline.step is not None:
+                publish_trace(trace_of(pipeline.step, verdict, config.rules))
             if health is not None:
                 publish_health(health)
+                journal.note_health(health)
                 service.report.stages(pipeline.latency.summary())
+                for what, count in pipeline.take_new_bad_input().items():
+                    service.report.bad_input(what, count)
     return service.closed_cleanly
 
 

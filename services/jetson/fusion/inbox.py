@@ -23,6 +23,7 @@ SENSOR_TOPICS: dict[str, Topic] = {
 ONBOARD = ("lidar", "radar", "camera")
 MAX_NAMES = 64  # strangers cannot fill our memory
 REFUSED_SHOWN_S = 2.0
+UNDECODABLE = "undecodable"
 
 
 class Inbox:
@@ -37,7 +38,8 @@ class Inbox:
         self.clocks = {name: ClockWatch(config.clocks) for name in SENSOR_TOPICS}
         self.statuses: dict[str, Received[ServiceStatus]] = {}
         self.ego: Received[EgoMotion] | None = None
-        self.bad_input: Counter[str] = Counter()
+        self.bad_input: Counter[str] = Counter()  # since the start, by key and reason
+        self.new_bad_input: Counter[str] = Counter()  # what somebody still has to be told
         self._by_key = {topic.key(sensors[name].host): name for name, topic in SENSOR_TOPICS.items()}
         self._by_service = {f"{watch.host}/{watch.service}": name for name, watch in self.watches.items()}
         self._refused: dict[str, tuple[str, float]] = {}
@@ -90,15 +92,16 @@ class Inbox:
             self.statuses[name] = received
 
     def _refuse(self, key: str, why: str, now_s: float) -> None:
-        self._count(f"{key}: undecodable")
+        self._count(f"{key}: {UNDECODABLE}")
         if key in self._by_key:
             self._refused[self._by_key[key]] = (why, now_s)
 
     def _count(self, what: str) -> None:
-        if what in self.bad_input or len(self.bad_input) < MAX_NAMES:
-            self.bad_input[what] += 1
-        else:
-            self.bad_input["from further strangers"] += 1
+        if what not in self.bad_input and len(self.bad_input) >= MAX_NAMES:
+            what = "from further strangers"
+        self.bad_input[what] += 1
+        if not what.endswith(UNDECODABLE):
+            self.new_bad_input[what] += 1
 
     def _surroundings(self, name: str, seen: Observation) -> Surroundings:
         watch, clock = self.watches[name], self.clocks[name]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import NamedTuple
 
 from common.messages import ObjectTracks, SensorHealth, SystemHealth, Verdict
 from services.jetson.fusion.config import FusionConfig
@@ -16,6 +17,14 @@ from services.jetson.fusion.roadside import RoadsideAlarm, find_threat, tabulate
 from services.jetson.fusion.vehicle import Vehicle, vehicle_now
 from services.jetson.fusion.verdict import fuse
 
+
+class Step(NamedTuple):
+    """The inputs of one verdict and the memory before it: enough to decide it again."""
+
+    inputs: FusionInputs
+    memory: FusionMemory
+
+
 Judged = dict[str, tuple[SensorInput, SensorHealth]]
 
 
@@ -26,6 +35,7 @@ class FusionPipeline:
         self._config = config
         self._inbox = Inbox(config)
         self._memory = FusionMemory()
+        self.step: Step | None = None  # what the last verdict was decided from
         self._alarm = RoadsideAlarm(config.roadside)
         self._tracks_stamp_ns = 0  # of the roadside message that was looked at last
         self.latency = LatencyBook({name: getattr(config.sensors, name).budget_ms for name in self._inbox.watches})
@@ -35,6 +45,11 @@ class FusionPipeline:
     def bad_input(self) -> Counter[str]:
         """What was refused since the start, by key and reason."""
         return self._inbox.bad_input
+
+    def take_new_bad_input(self) -> Counter[str]:
+        """What this pipeline refused since the last call; undecodable payloads are counted by who decodes."""
+        taken, self._inbox.new_bad_input = self._inbox.new_bad_input, Counter()
+        return taken
 
     def process(self, seen: Observation) -> tuple[Verdict, SystemHealth | None]:
         """The verdict now; and health when it has changed or is due."""
@@ -49,6 +64,7 @@ class FusionPipeline:
         roadside = self._from_roadside(judged["infra_lidar"][0], vehicle)
         # 4. the verdict, by the rules
         inputs = self._inputs(seen, judged, vehicle, roadside)
+        self.step = Step(inputs, self._memory)
         verdict, self._memory = fuse(inputs, self._memory, self._config.rules)
         # 5. how old was all that
         self.latency.add({name: sensor for name, (sensor, _) in judged.items()})

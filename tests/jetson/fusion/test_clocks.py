@@ -78,6 +78,49 @@ def test_the_bound_is_lost_with_time_and_wide_measurements_do_not_count() -> Non
     assert watch.distrust(11.0) == ""
 
 
+def test_the_limits_themselves() -> None:
+    """A bound of exactly the limit counts; offsets that just touch do not contradict; exactly the step is a step."""
+    config = ClocksConfig(max_bound_ms=250.0, step_ms=250.0, drift_ppm=0.0)
+    watch = ClockWatch(config)
+    watch.add(sample(0.0, 1.0, 0.25))
+    assert watch.estimate(0.0) is not None
+    watch.add(sample(1.0, 1.5, 0.25))
+    assert watch.distrust(1.0) == ""
+    watch.add(sample(2.0, 1.5 + 2**-20, 0.25))
+    assert "stepped" in watch.distrust(2.0)
+    assert ClockWatch(config).estimate(0.0) is None
+    clock = OwnClock(config)
+    assert clock.step(1.0, 1_000_000_000) == 0.0
+    assert clock.step(2.0, 2_250_000_000) == 0.25
+    wide = ClockWatch(config)
+    wide.add(sample(0.0, 1.0, 0.26))
+    assert wide.estimate(0.0) is None
+
+
+def test_what_health_is_told() -> None:
+    watch = ClockWatch(CONFIG)
+    watch.add(sample(1.0, 0.25, 0.002))
+    told = watch.health(1.0)
+    assert told is not None
+    assert (told.offset_ms, told.bound_ms, told.age_s, told.trusted) == (250.0, 2.0, 0.0, True)
+    later = watch.health(3.0)
+    assert later is not None
+    assert later.bound_ms == pytest.approx(2.0 + 2.0 * 50e-3)
+    assert later.age_s == 2.0
+
+
+def test_only_the_newest_sixteen_measurements_count() -> None:
+    watch = ClockWatch(ClocksConfig(drift_ppm=0.0))
+    watch.add(sample(0.0, 0.0, 0.001))
+    for step in range(1, 16):
+        watch.add(sample(float(step), 0.0005, 0.002))
+    assert watch.estimate(15.0) == sample(0.0, 0.0, 0.001)
+    watch.add(sample(16.0, 0.0005, 0.002))
+    best = watch.estimate(16.0)
+    assert best is not None
+    assert best.bound_s == 0.002
+
+
 def test_our_own_clock() -> None:
     clock = OwnClock(CONFIG)
     assert clock.step(1.0, 1_000_000_000) == 0.0

@@ -93,6 +93,8 @@ def test_another_hosts_name_is_counted_named_and_ignored(bench: Any, messages: A
         bench.tick()
     assert bench.is_in("radar", "disconnected")
     assert bench.pipeline.bad_input["pi7/radar/tracks: from an unexpected host"] == 10
+    assert bench.pipeline.take_new_bad_input() == {"pi7/radar/tracks: from an unexpected host": 10}
+    assert not bench.pipeline.take_new_bad_input()
     bench.run(0.5)
     assert any("pi7/radar/tracks: from an unexpected host" in note for note in bench.health.notes)
 
@@ -119,6 +121,7 @@ def test_undecodable_payloads_are_named_when_they_leave_a_sensor_without_data(be
     assert bench.is_in("radar", "disconnected")
     assert "Expected `float`" in bench.sensor("radar").reason
     assert bench.pipeline.bad_input["pi0/radar/tracks: undecodable"] == 20
+    assert not bench.pipeline.take_new_bad_input(), "the decoder has counted them"
 
 
 @pytest.mark.parametrize("field", ["noise_floor_db", "v_max_mps"])
