@@ -46,10 +46,8 @@ def write_capsule(folder: Path, host: str, incident: Incident, kept: Iterable[Ke
 
 
 def incidents(folder: Path) -> list[str]:
-    """Names of the saved incidents, oldest first."""
-    if not folder.is_dir():
-        return []
-    return sorted(path.name for path in folder.iterdir() if path.is_dir() and NAME.match(path.name))
+    """Names of the incidents with a complete capsule, oldest first."""
+    return sorted({path.parent.name for path in folder.glob("*/*.mcap") if NAME.match(path.parent.name)})
 
 
 def keep_newest(folder: Path, count: int) -> None:

@@ -23,7 +23,7 @@ class CapsuleServer:
         self.wishes: queue.Queue[Incident] = queue.Queue(16)
         self._host = service.host
         self._folder = folder
-        base = f"{service.host}/blackbox"
+        self._base = base = f"{service.host}/blackbox"
         self._queryables = [
             service.session.declare_queryable(f"{base}/incidents", self._list),
             service.session.declare_queryable(f"{base}/capsule", self._capsule),
@@ -33,7 +33,7 @@ class CapsuleServer:
     def _list(self, query: zenoh.Query) -> None:
         with query:
             names = [name for name in incidents(self._folder) if self._path(name).is_file()]
-            query.reply(str(query.key_expr), json.dumps(names), encoding="application/json")
+            query.reply(f"{self._base}/incidents", json.dumps(names), encoding="application/json")
 
     def _capsule(self, query: zenoh.Query) -> None:
         with query:
@@ -44,7 +44,7 @@ class CapsuleServer:
                 return
             with self._path(name).open("rb") as stream:
                 stream.seek(int(part) * PART_BYTES)
-                query.reply(str(query.key_expr), stream.read(PART_BYTES))
+                query.reply(f"{self._base}/capsule", stream.read(PART_BYTES))
 
     def _save(self, query: zenoh.Query) -> None:
         """Every host takes the asker's time and words, so that all capsules carry one name."""
@@ -58,7 +58,7 @@ class CapsuleServer:
             except queue.Full:
                 query.reply_err(b"too many wishes at once")
                 return
-            query.reply(str(query.key_expr), json.dumps({"incident": incident.name}), encoding="application/json")
+            query.reply(f"{self._base}/save", json.dumps({"incident": incident.name}), encoding="application/json")
 
     def _path(self, name: str) -> Path:
         return self._folder / name / f"{self._host}.mcap"

@@ -1,0 +1,1 @@
+"""Speed and memory, as ratios against a plain reference in the same run."""

@@ -1,0 +1,292 @@
+"""Incidents: found alike on every host, kept whole, bounded, merged on one clock, decided again."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from common.codec import encode
+from common.config import ServiceConfig, ZenohConfig, load
+from common.messages import ClockHealth, LidarZone, LidarZones, SensorHealth, SystemHealth, Verdict
+from common.recording.reader import read, summarise
+from common.runtime import Service
+from common.session import open_session
+from common.topics import FUSION_HEALTH, FUSION_VERDICT, LIDAR_ZONES
+from services.blackbox.capsule import incidents, keep_newest, merge, write_capsule
+from services.blackbox.config import BlackboxConfig
+from services.blackbox.pipeline import BlackboxPipeline
+from services.blackbox.ring import Kept, Ring
+from services.blackbox.server import CapsuleServer
+from services.blackbox.source import keys_to_keep
+from services.blackbox.trigger import NAME, Incident, Trigger, incident_name
+
+SECOND = 1_000_000_000
+T0 = 1_795_000_000 * SECOND
+VERDICT_KEY, HEALTH_KEY = "jetson0/fusion/verdict", "jetson0/fusion/health"
+
+
+def verdict(level: str, stamp_ns: int = T0, seq: int = 0) -> Verdict:
+    return Verdict(
+        stamp_ns=stamp_ns, seq=seq, level=level, rule="R1-worst-case", because="lidar sees", inputs={},  # type: ignore[arg-type]
+        confirmed=False, suppressed=False, advisory=None, blind=False, permission="STOP",
+    )  # fmt: skip
+
+
+def health(state: str, stamp_ns: int = T0, clocks: dict[str, ClockHealth] | None = None) -> SystemHealth:
+    sensor = SensorHealth(state=state, reason="why", since_ns=0, age_ms=1.0, rate_hz=10.0)  # type: ignore[arg-type]
+    return SystemHealth(
+        stamp_ns=stamp_ns, sensors={"lidar": sensor}, colour="green", summary="", services={}, clocks=clocks or {}
+    )
+
+
+def test_shipped_file_is_the_defaults() -> None:
+    path = Path(__file__).parents[2] / "services" / "blackbox" / "blackbox.toml"
+    assert load(BlackboxConfig, path) == BlackboxConfig()
+
+
+@pytest.mark.parametrize(
+    ("levels", "found"),
+    [
+        (["SAFE", "CAUTION"], ["CAUTION"]),
+        (["SAFE", "CAUTION", "IMMINENT"], ["CAUTION", "IMMINENT"]),
+        (["SAFE", "SAFE", "SAFE"], []),
+        (["IMMINENT", "CAUTION", "SAFE"], []),  # coming down is none, and the first only tells how things are
+        (["CAUTION", "SAFE", "IMMINENT"], ["IMMINENT"]),
+    ],
+)
+def test_a_rise_is_an_incident(levels: list[str], found: list[str]) -> None:
+    trigger = Trigger(BlackboxConfig())
+    seen = [trigger.see(verdict(level)) for level in levels]
+    assert [one.why.split()[0] for one in seen if one] == found
+
+
+def test_a_changed_sensor_is_an_incident_unless_switched_off() -> None:
+    trigger, quiet = Trigger(BlackboxConfig()), Trigger(BlackboxConfig(on_health_change=False))
+    for state in ("online", "online", "degraded"):
+        seen, silent = trigger.see(health(state)), quiet.see(health(state))
+    assert seen is not None and seen.name.endswith("-lidar-degraded") and silent is None  # noqa: PT018
+
+
+def test_every_host_finds_the_same_name() -> None:
+    names = set()
+    for _ in range(3):
+        trigger = Trigger(BlackboxConfig())
+        trigger.see(verdict("SAFE"))
+        incident = trigger.see(verdict("IMMINENT", T0 + 250_000_000))
+        assert incident is not None
+        names.add(incident.name)
+    (name,) = names
+    assert name.endswith(".250Z-imminent")
+    assert NAME.match(name)
+
+
+@pytest.mark.parametrize("what", ["../../etc/passwd", "", "A B/c", "x" * 500, "ümlaut"])
+def test_names_are_always_harmless_folders(what: str) -> None:
+    name = incident_name(T0, what)
+    assert NAME.match(name)
+    assert "/" not in name
+    assert ".." not in name
+
+
+def test_the_ring_is_bounded_in_time_and_bytes() -> None:
+    ring = Ring(keep_s=5.0, max_bytes=1000)
+    for i in range(100):
+        ring.add(Kept("a/b/c", bytes(30), T0 + i * SECOND // 10))
+    assert ring.size_bytes <= 1000
+    assert ring.window(T0, T0 + 100 * SECOND)[-1].log_ns == T0 + 99 * SECOND // 10
+    ring.add(Kept("a/b/c", bytes(30), T0 + 1000 * SECOND))
+    assert ring.size_bytes == 30
+
+
+def test_the_window_around_the_trigger_is_kept() -> None:
+    pipeline = BlackboxPipeline(BlackboxConfig(before_s=3.0, after_s=2.0))
+    saved = None
+    for tenth in range(200):
+        now_ns = T0 + tenth * SECOND // 10
+        level = "IMMINENT" if 100 <= tenth < 110 else "SAFE"
+        result = pipeline.process(now_ns, Kept(VERDICT_KEY, encode(verdict(level, now_ns, tenth)), now_ns))
+        saved = saved or result
+    assert saved is not None
+    times_s = [(kept.log_ns - T0) / SECOND for kept in saved.kept]
+    assert (min(times_s), max(times_s)) == (7.0, 12.0)
+    assert len(times_s) == 51
+
+
+def test_hostile_trigger_payloads_are_kept_but_trigger_nothing() -> None:
+    pipeline = BlackboxPipeline(BlackboxConfig(before_s=1.0, after_s=0.5))
+    for tenth in range(50):
+        now_ns = T0 + tenth * SECOND // 10
+        assert pipeline.process(now_ns, Kept(VERDICT_KEY, b"\xc1nonsense", now_ns)) is None
+
+
+def test_capsules_of_three_hosts_line_up_on_fusions_clock(tmp_path: Path) -> None:
+    """pi0's clock is 80 ms ahead, infra0's 40 ms behind; what happened together is together when merged."""
+    incident = Incident("20261119T010000.000Z-imminent", T0, "test")
+    clocks = {
+        "pi0/radar": ClockHealth(offset_ms=80.0, bound_ms=2.0, age_s=1.0, trusted=True),
+        "infra0/infra_lidar": ClockHealth(offset_ms=-40.0, bound_ms=3.0, age_s=1.0, trusted=True),
+    }
+    ahead_ns = {"jetson0": 0, "pi0": 80_000_000, "infra0": -40_000_000}
+    keys = {"jetson0": "jetson0/lidar/zones", "pi0": "pi0/lidar/zones", "infra0": "infra0/lidar/zones"}
+    zone = LidarZone(nearest_m=None, points=0, level="SAFE")
+    capsules = {}
+    for host, offset_ns in ahead_ns.items():
+        kept = [
+            Kept(keys[host], encode(zones), T0 + i * SECOND + offset_ns)
+            for i in range(5)
+            for zones in [LidarZones(stamp_ns=i, left=zone, centre=zone, right=zone, level="SAFE", raw_level="SAFE")]
+        ]
+        shared = [Kept(VERDICT_KEY, encode(verdict("IMMINENT")), T0 + offset_ns)]
+        own_health = [Kept(HEALTH_KEY, encode(health("online", clocks=clocks)), T0 + 1)] if host == "jetson0" else []
+        capsules[host] = write_capsule(tmp_path / host, host, incident, [*shared, *own_health, *kept], {"version": "x"})
+    merged = tmp_path / "merged.mcap"
+    applied = merge(capsules, "jetson0", merged)
+    assert (applied["pi0"].offset_s, applied["pi0"].bound_s) == (0.08, 0.002)
+    recorded = list(read(merged))
+    assert sum(one.key == VERDICT_KEY for one in recorded) == 1  # what all hosts kept is kept once
+    for i in range(5):
+        together = [one.log_ns for one in recorded if one.key.endswith("zones")][3 * i : 3 * i + 3]
+        assert max(together) - min(together) < 5_000_000
+    assert [one.log_ns for one in recorded] == sorted(one.log_ns for one in recorded)
+
+
+def test_a_host_whose_clock_is_unknown_is_merged_as_it_is(tmp_path: Path) -> None:
+    incident = Incident("20261119T010000.000Z-imminent", T0, "test")
+    kept = [Kept(VERDICT_KEY, encode(verdict("IMMINENT")), T0)]
+    capsules = {"pi0": write_capsule(tmp_path, "pi0", incident, kept, {})}
+    applied = merge(capsules, "jetson0", tmp_path / "merged.mcap")
+    assert applied["pi0"].offset_s is None
+    assert summarise(tmp_path / "merged.mcap").counts == {VERDICT_KEY: 1}
+
+
+def test_only_the_newest_incidents_stay(tmp_path: Path) -> None:
+    for minute in range(5):
+        incident = Incident(incident_name(T0 + minute * 60 * SECOND, "imminent"), T0, "test")
+        write_capsule(tmp_path, "pi0", incident, [], {})
+    (tmp_path / "somebody-elses-folder").mkdir()
+    keep_newest(tmp_path, 2)
+    assert len(incidents(tmp_path)) == 2
+    assert (tmp_path / "somebody-elses-folder").is_dir()
+
+
+def test_an_unfinished_capsule_is_not_an_incident(tmp_path: Path) -> None:
+    name = incident_name(T0, "imminent")
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "pi0.part").write_bytes(b"half")
+    incident = Incident(name, T0, "again")
+    assert write_capsule(tmp_path, "pi0", incident, [], {}).name == "pi0.mcap"
+    assert not (tmp_path / name / "pi0.part").exists()
+
+
+def test_own_topics_and_triggers_are_kept_large_ones_on_request() -> None:
+    keys = keys_to_keep(BlackboxConfig(host="pi0"))
+    assert {"pi0/radar/tracks", "pi0/*/status", VERDICT_KEY, HEALTH_KEY} <= set(keys)
+    assert "pi0/camera/image" not in keys
+    assert "pi0/camera/image" in keys_to_keep(BlackboxConfig(host="pi0", large=True))
+
+
+@pytest.fixture
+def served(zenoh_config: ZenohConfig, tmp_path: Path) -> Any:
+    write_capsule(tmp_path, "pi0", Incident("20261119T010000.000Z-imminent", T0, "x"), [], {})
+    (tmp_path / "secret.txt").write_text("no")
+    with Service("blackbox", ServiceConfig(host="pi0", zenoh=zenoh_config)) as service:
+        server = CapsuleServer(service, tmp_path)
+        with open_session(zenoh_config) as laptop:
+            yield laptop, server, tmp_path
+
+
+def ask(session: zenoh.Session, key: str, **parameters: str) -> list[bytes]:
+    replies = session.get(zenoh.Selector(key, zenoh.Parameters(parameters)), timeout=5)
+    return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+
+
+def test_capsules_are_given_whole(served: Any) -> None:
+    laptop, _, folder = served
+    assert json.loads(ask(laptop, "*/blackbox/incidents")[0]) == ["20261119T010000.000Z-imminent"]
+    (data,) = ask(laptop, "pi0/blackbox/capsule", name="20261119T010000.000Z-imminent", part="0")
+    assert data == (folder / "20261119T010000.000Z-imminent" / "pi0.mcap").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [
+        ("../secret.txt", "0"),
+        ("..", "0"),
+        ("20261119T010000.000Z-imminent/../..", "0"),
+        ("", "0"),
+        ("20261119T010000.000Z-imminent", "-1"),
+        ("20261119T010000.000Z-imminent", "x"),
+        ("20990101T000000.000Z-none", "0"),
+    ],
+)
+def test_nothing_else_is_given(served: Any, name: str, part: str) -> None:
+    laptop, _, _ = served
+    assert ask(laptop, "pi0/blackbox/capsule", name=name, part=part) == []
+
+
+def test_a_wish_is_taken_with_the_askers_time(served: Any) -> None:
+    laptop, server, _ = served
+    (answer,) = ask(laptop, "*/blackbox/save", why="near miss at the gate", at_ns=str(T0))
+    incident = server.wishes.get_nowait()
+    assert (incident.name, incident.why) == (json.loads(answer)["incident"], "near miss at the gate")
+    assert incident.at_ns == T0
+
+
+@pytest.mark.system
+@pytest.mark.slow
+def test_two_hosts_save_the_same_incident(zenoh_config: ZenohConfig, tmp_path: Path, spawn: Callable[..., Any]) -> None:
+    for host in ("jetson0", "pi0"):
+        spawn(
+            "spotter-blackbox", "--set", f"host={host}", "--set", f'zenoh.connect=["{zenoh_config.connect[0]}"]',
+            "--set", f"folder={tmp_path / host}", "--set", "before_s=1.0", "--set", "after_s=0.5",
+        )  # fmt: skip
+    stop = threading.Event()
+    levels = {"now": "SAFE"}
+    zone = LidarZone(nearest_m=None, points=0, level="SAFE")
+
+    def speak() -> None:
+        with (
+            Service("fusion", ServiceConfig(host="jetson0", zenoh=zenoh_config)) as fusion,
+            Service("lidar", ServiceConfig(host="pi0", zenoh=zenoh_config)) as lidar,
+        ):
+            put_verdict, put_zones = fusion.publisher(FUSION_VERDICT), lidar.publisher(LIDAR_ZONES)
+            put_health = fusion.publisher(FUSION_HEALTH)
+            while not stop.wait(0.02):
+                put_verdict(verdict(levels["now"], time.time_ns()))
+                put_health(health("online", time.time_ns()))
+                put_zones(
+                    LidarZones(
+                        stamp_ns=time.time_ns(), left=zone, centre=zone, right=zone, level="SAFE", raw_level="SAFE"
+                    )
+                )
+
+    speaker = threading.Thread(target=speak)
+    speaker.start()
+    try:
+        with open_session(zenoh_config) as laptop:
+            deadline_s = time.monotonic() + 30
+            while len(ask(laptop, "*/blackbox/incidents")) < 2:
+                assert time.monotonic() < deadline_s
+            alarm_at_s = time.monotonic() + 1.5  # both have seen SAFE by then
+            while time.monotonic() < alarm_at_s:
+                stop.wait(0.05)
+            levels["now"] = "IMMINENT"
+            deadline_s = time.monotonic() + 20
+            while not (incidents(tmp_path / "jetson0") and incidents(tmp_path / "pi0")):
+                assert time.monotonic() < deadline_s
+                stop.wait(0.05)
+    finally:
+        stop.set()
+        speaker.join()
+    (name,) = incidents(tmp_path / "jetson0")
+    assert incidents(tmp_path / "pi0") == [name]
+    counts = summarise(tmp_path / "pi0" / name / "pi0.mcap").counts
+    assert counts["pi0/lidar/zones"] > 20
+    assert counts[VERDICT_KEY] > 20
