@@ -137,9 +137,8 @@ def _join_engulfed(xyz: np.ndarray, clusters: list[np.ndarray]) -> list[np.ndarr
     for b in range(len(host)):
         while host[host[b]] != host[b]:
             host[b] = host[host[b]]
-    return [
-        np.concatenate([clusters[b] for b in range(len(host)) if host[b] == a]) for a in range(len(host)) if host[a] == a
-    ]
+    hosts = [a for a in range(len(host)) if host[a] == a]
+    return [np.concatenate([clusters[b] for b in range(len(host)) if host[b] == a]) for a in hosts]
 
 
 def features(xyz: np.ndarray) -> np.ndarray:
@@ -157,7 +156,7 @@ def features(xyz: np.ndarray) -> np.ndarray:
     slices = np.zeros(5)
     if n > 20 and tall > 0.1:
         for k in range(5):
-            part = along[np.minimum(layer, 4) == k]
+            part = along[layer == k]  # the topmost point is in none of them
             slices[k] = np.hypot(*np.ptp(part, axis=0)) if len(part) > 2 else 0.0
     near = 0.0
     if n > 6:

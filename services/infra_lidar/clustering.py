@@ -62,6 +62,11 @@ class Clustering:
         self._rank = np.zeros((self.side, words), np.int32)
         self._row_start = np.zeros(self.side + 1, np.int32)
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the cell grids."""
+        return sum(a.nbytes for a in (self._once, self._twice, self._starts, self._rank, self._row_start))
+
     def cluster(self, frame: Levelled) -> ClusterPoints:
         """Group the points of a frame that are not ground."""
         config = self._config
@@ -74,7 +79,7 @@ class Clustering:
         kept = self._filter(x, y, z, above, label, components)
         if config.trim_ground:
             offsets, order, _ = self._group(label, kept)
-            splitting.trim_feet(z, above, order, offsets, label)
+            splitting.trim_feet(z, order, offsets, label)
         if config.split == "gap":
             offsets, order, _ = self._group(label, kept)
             splitting.split_rows(x, y, z, order, offsets, label)

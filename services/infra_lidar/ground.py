@@ -43,7 +43,7 @@ class Ground:
     def __init__(self, config: GroundConfig, buffers: Buffers | None = None, near_m: float = 2.5) -> None:
         self._config = config
         self._near_m = np.float32(near_m)
-        self._buffers = buffers or Buffers()
+        self.buffers = buffers or Buffers()
         self.rings = int(np.ceil(config.range_max_m / config.ring_m)) + 1
         self.sectors = round(360.0 / config.sector_deg)
         cells = self.rings * self.sectors
@@ -72,6 +72,11 @@ class Ground:
         return self._label(self._level(points, T_level_sensor))
 
     @property
+    def nbytes(self) -> int:
+        """Bytes of the polar grid."""
+        return sum(a.nbytes for a in (self._histogram, self._count, self.height_m, self.surface, self.accepted))
+
+    @property
     def sectors_seen(self) -> int:
         """Number of sectors with a return in the last frame."""
         return int(self._count.reshape(self.rings, self.sectors).any(axis=0).sum())
@@ -86,7 +91,7 @@ class Ground:
         return np.asarray(s[:, 0] + s[:, 1] * x_m + s[:, 2] * y_m, np.float32)
 
     def _level(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
-        n, take = len(points), self._buffers.take
+        n, take = len(points), self.buffers.take
         frame = Levelled(
             x=take("x", n, np.float32), y=take("y", n, np.float32), z=take("z", n, np.float32),
             cell=take("cell", n, np.int16), ground=take("ground", n, np.bool_),

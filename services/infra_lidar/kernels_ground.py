@@ -110,10 +110,11 @@ def cell_heights(histogram, count, hist_min, share, min_points, height):  # type
         rank = max(1, int(share * n))
         seen = 0
         for b in range(bins):
-            seen += histogram[c, b]
-            if seen > rank:
-                height[c] = hist_min + np.float32((b + 0.5) * BIN_M)
+            here = histogram[c, b]
+            if seen + here > rank:  # inside a bin heights are as good as evenly spread
+                height[c] = hist_min + np.float32((b + (rank - seen + 0.5) / here) * BIN_M)
                 break
+            seen += here
 
 
 @kernel

@@ -12,15 +12,18 @@ TRIM_ABOVE_ROAD_M, TRIM_MIN_HEIGHT_M, TRIM_SHARE = 0.25, 0.5, 0.05
 
 
 @kernel
-def trim_feet(z, above, order, offsets, label):  # type: ignore[no-untyped-def]
-    """Take the lowest twentieth off clusters that stand on the road: it is road. Their label becomes -1."""
+def trim_feet(z, order, offsets, label):  # type: ignore[no-untyped-def]
+    """Take the lowest twentieth off clusters that stand on the road: it is road. Their label becomes -1.
+
+    As in the article the road is that of the calibration, z = 0.
+    """
     for k in range(offsets.shape[0] - 1):
         members = order[offsets[k] : offsets[k + 1]]
         n = len(members)
         if n == 0:
             continue
         heights = z[members]
-        if above[members].min() >= TRIM_ABOVE_ROAD_M or heights.max() - heights.min() <= TRIM_MIN_HEIGHT_M:
+        if heights.min() >= TRIM_ABOVE_ROAD_M or heights.max() - heights.min() <= TRIM_MIN_HEIGHT_M:
             continue
         limit = np.partition(heights, int(TRIM_SHARE * n))[int(TRIM_SHARE * n)]
         for i in members:
