@@ -27,7 +27,7 @@ def test_a_slow_reader_gets_the_newest_and_the_skipped_are_counted(report: Repor
         all_are_taken.set()
 
     with NewestFrames(burst, report) as frames:
-        assert all_are_taken.wait(5)
+        assert all_are_taken.wait(30)
         assert [f.stamp_ns for f in frames] == [9]
     assert report.snapshot().dropped == 9
 
@@ -50,7 +50,7 @@ def test_leaving_stops_a_source_that_never_ends(report: Report) -> None:
 
     with NewestFrames(endless, report) as frames:
         assert next(iter(frames)).image is IMAGE
-    assert ended.wait(5)
+    assert ended.wait(30)
 
 
 def test_what_breaks_the_source_is_raised_to_the_reader(report: Report) -> None:

@@ -12,9 +12,10 @@ import pytest
 from common.config import ConfigError
 from common.sim.world import SCENARIOS
 from common.status import Report
+from services.jetson.camera import source as source_module
 from services.jetson.camera.config import CameraConfig, CaptureConfig
 from services.jetson.camera.frames import Frame
-from services.jetson.camera.source import fitted, open_source
+from services.jetson.camera.source import Pace, fitted, open_source
 
 
 def frames_of(url: str, report: Report, count: int = 1000) -> list[Frame]:
@@ -63,10 +64,45 @@ def test_one_picture_is_a_recording_too(folder: Path, report: Report) -> None:
     assert len(frames_of(f"file:{folder / '001.png'}", report)) == 1
 
 
-def test_a_video_is_read_to_its_end_at_its_own_pace(video: Path, report: Report) -> None:
-    frames = frames_of(f"file:{video}?rate=4", report)
-    assert len(frames) == 6
-    assert np.all(np.diff([frame.stamp_ns for frame in frames]) >= 9e6)  # 25 Hz four times as fast: 10 ms
+class FakeTime:
+    """Stands for the monotonic clock and for the event that is waited on: waiting is what moves the time."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.waited_s: list[float] = []
+
+    def __call__(self) -> float:
+        return self.now_s
+
+    def wait(self, seconds: float) -> bool:
+        self.waited_s.append(round(seconds, 6))
+        self.now_s += seconds
+        return False
+
+    def is_set(self) -> bool:
+        return False
+
+
+@pytest.mark.parametrize(("rate", "period_s"), [("", 0.04), ("?rate=4", 0.01), ("?rate=0.5", 0.08), ("?rate=0", 0.0)])
+def test_a_video_is_read_to_its_end_at_its_own_pace(
+    video: Path, report: Report, monkeypatch: pytest.MonkeyPatch, rate: str, period_s: float
+) -> None:
+    time = FakeTime()
+    monkeypatch.setattr(source_module, "monotonic_s", time)
+    source, _ = open_source(CameraConfig(source=f"file:{video}{rate}"), report)
+    assert len(list(source(time))) == 6  # type: ignore[arg-type]
+    assert time.waited_s[:6] == [0.0, *[period_s] * 5]  # 25 Hz
+
+
+def test_time_lost_by_a_slow_step_is_not_caught_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    time = FakeTime()
+    monkeypatch.setattr(source_module, "monotonic_s", time)
+    pace = Pace(0.1, time)  # type: ignore[arg-type]
+    for step_s in (0.0, 0.0, 0.5, 0.0):
+        assert pace.wait()
+        time.now_s += step_s
+    assert pace.wait()
+    assert time.waited_s == [0.0, 0.1, 0.1, 0.0, 0.1]
 
 
 @pytest.mark.parametrize(("rate", "lossless"), [("?rate=0", True), ("", False), ("?rate=2", False)])
