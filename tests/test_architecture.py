@@ -22,6 +22,8 @@ DISTRIBUTION_OF = {
     "serial": "pyserial",
     "cv2": "opencv-python-headless",
     "sklearn": "scikit-learn",
+    "foxglove": "foxglove-sdk",
+    "prometheus_client": "prometheus-client",
 }
 
 # Which extras a file may count on, most specific folder or file first; everything else has the base only.
@@ -33,7 +35,7 @@ EXTRAS_OF = {
     "services/jetson": {"jetson"},
     "services/infra_lidar/train.py": {"infra-lidar", "train"},
     "services/infra_lidar/evaluate.py": {"infra-lidar", "train"},
-    "services/infra_lidar/plot.py": {"infra-lidar", "plot"},
+    "services/infra_lidar/plot.py": {"infra-lidar", "plot", "jetson"},  # an MP4 where OpenCV happens to be
     "services/infra_lidar/evaluate_plots.py": {"infra-lidar", "train"},
     "services/infra_lidar": {"infra-lidar"},
     "services/blackbox": {"record"},
