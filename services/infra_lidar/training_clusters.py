@@ -135,7 +135,8 @@ def generated_clusters(seed: int, per_class: int, min_points: int = 10, backgrou
     for label, name in enumerate(CLASSES):
         made = 0
         while made < per_class * (background if name == "background" else 1):
-            points = _look_at(rng, _body(rng, name))
+            aloft = name == "background" and rng.random() < 0.25  # branches, signs, balconies
+            points = _look_at(rng, _body(rng, name), rng.uniform(1.0, 4.0) if aloft else 0.0)
             if len(points) >= min_points:
                 clusters.append(points)
                 labels.append(label)
@@ -185,10 +186,10 @@ def _fixture(rng: np.random.Generator) -> Solids:
     return join([*posts, rail])
 
 
-def _look_at(rng: np.random.Generator, shape: Solids) -> np.ndarray:
+def _look_at(rng: np.random.Generator, shape: Solids, lift_m: float = 0.0) -> np.ndarray:
     """(n, 3) points of the body from the pole at (0, 0): placed, cut by an occluder, with noise and dropped rays."""
     distance, bearing = rng.uniform(6.0, 70.0), rng.uniform(-np.pi, np.pi)
-    place = pose_2d(distance * np.cos(bearing), distance * np.sin(bearing), rng.uniform(-np.pi, np.pi))
+    place = pose_2d(distance * np.cos(bearing), distance * np.sin(bearing), rng.uniform(-np.pi, np.pi), lift_m)
     shape = shape.placed(place, 0, np.zeros(3))
     rays = _rays(shape, np.array([0.0, 0.0, POLE_M]))
     range_m, hit = cast(np.array([0.0, 0.0, POLE_M]), rays, shape)
