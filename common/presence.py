@@ -6,13 +6,27 @@ A token says that a process is there, not that it works; whoever decides needs f
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import zenoh
 
 from common.topics import ANY_TOKEN, parse_token
 
 Instance = tuple[str, str, str]  # host, service, instance
+
+
+AFTER = "-after-"
+
+
+def successor(instance: str, predecessor: str) -> str:
+    """The instance id of a process that announces that it takes over from another one."""
+    return f"{instance}{AFTER}{predecessor.partition(AFTER)[0]}"
+
+
+def claimants(instances: Collection[str]) -> set[str]:
+    """Instances that claim a service for themselves: without those whose announced successor is there too."""
+    succeeded = {instance.partition(AFTER)[2] for instance in instances}
+    return {one for one in instances if one.partition(AFTER)[0] not in succeeded} or set(instances)
 
 
 class Presence:

@@ -34,22 +34,40 @@ class Publisher:
     """Call it with a message: it counts, stamps the sending time, encodes and puts."""
 
     def __init__(self, session: zenoh.Session, topic: Topic, key: str, report: Report) -> None:
+        self._session = session
         self._topic = topic
         self._report = report
         self._seq = 0
-        self._publisher = session.declare_publisher(
+        self._out = self._declare(key)
+
+    def _declare(self, key: str) -> tuple[zenoh.Publisher, threading.Event]:
+        publisher = self._session.declare_publisher(
             key,
-            encoding=encoding_of(topic.message),
-            priority=_PRIORITY[topic.priority],
-            congestion_control=_CONGESTION[topic.congestion],
+            encoding=encoding_of(self._topic.message),
+            priority=_PRIORITY[self._topic.priority],
+            congestion_control=_CONGESTION[self._topic.congestion],
         )
+        return publisher, threading.Event()
+
+    def move(self, key: str) -> threading.Event:
+        """Speak under another key from the next message on; the event is set once that message is out."""
+        self._out = self._declare(key)  # one assignment: the thread that publishes sees either the old or the new
+        return self._out[1]
+
+    @property
+    def decided_on(self) -> bool:
+        """Others act on this topic: it has an age limit."""
+        return self._topic.age_limit_s is not None
 
     @property
     def wanted(self) -> bool:
         """False when nobody listens to an on-demand topic, so that the work of making it can be spared."""
-        if not self._topic.on_demand:
-            return True
-        status: Any = self._publisher.matching_status  # an object that is always true, whatever its stub says
+        return self.heard if self._topic.on_demand else True
+
+    @property
+    def heard(self) -> bool:
+        """Somebody listens now."""
+        status: Any = self._out[0].matching_status  # an object that is always true, whatever its stub says
         return bool(status.matching)
 
     def __call__(self, message: Message) -> None:
@@ -57,9 +75,11 @@ class Publisher:
             raise TypeError(f"{self._topic.name} carries {self._topic.message.__name__}, got {type(message).__name__}")
         message.seq = self._seq
         message.sent_ns = utc_ns()
-        self._publisher.put(encode(message))
+        publisher, spoken = self._out
+        publisher.put(encode(message))
+        spoken.set()
         self._seq += 1
-        self._report.published(message, primary=self._topic.age_limit_s is not None)
+        self._report.published(message, primary=self.decided_on)
 
 
 @dataclass(frozen=True)

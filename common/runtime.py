@@ -18,18 +18,21 @@ import logging
 import os
 import threading
 import uuid
+from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from types import TracebackType
 from typing import TypeVar
 
 import zenoh
 
 from common import topics
-from common.clock import utc_ns
+from common.clock import monotonic_s, utc_ns
 from common.codec import encode, encoding_of
 from common.config import ServiceConfig, config_hash
+from common.handover import Handover
 from common.messages import ClockReply, Message, ServiceInfo, ServiceStatus
-from common.presence import Presence
+from common.presence import AFTER, Presence, claimants, successor
 from common.pubsub import Latest, Publisher
 from common.session import close_session, open_session
 from common.status import Report
@@ -40,6 +43,7 @@ log = logging.getLogger("runtime")
 M = TypeVar("M", bound=Message)
 
 STATUS_PERIOD_S = 1.0
+HANDOVER_BUDGET_S = 15.0
 
 
 class Service:
@@ -48,36 +52,64 @@ class Service:
     def __init__(self, name: str, config: ServiceConfig) -> None:
         self.name = name
         self.host = config.host
+        self._handover = Handover()
+        self._live_since_s: float | None = None  # after a handover, until the old one is known to be gone
         self.instance = uuid.uuid4().hex[:8]
+        if self._handover.succeeds:
+            self.instance = successor(self.instance, self._handover.succeeds)
         self.report = Report(self.instance)
         self.wake = threading.Event()  # set on every arrival at any subscription of this service
         self.closed_cleanly = True
         self._config = config
         self._started_ns = utc_ns()
         self._topics: list[str] = []
+        self._publishers: dict[str, Publisher] = {}
+        self._queryables: list[zenoh.Queryable] = []
+        self._tokens: list[zenoh.LivelinessToken] = []
         self._stop = threading.Event()
         self._stack = ExitStack()
 
     def __enter__(self) -> Service:
         self.session = open_session(self._config.zenoh)
         self._stack.callback(self._close)
-        self._status_key = topics.status_topic(self.name).key(self.host)
+        self._announce()
+        if not self._handover.prefix:
+            self._claim()
+        self._handover.when_promoted(self._go_live)
+        self._status_thread = threading.Thread(target=self._report_status, name="status", daemon=True)
+        self._status_thread.start()
+        return self
+
+    def _announce(self) -> None:
+        """Status, info and clock, where we speak now; what was declared in the shadow stays until the end."""
         self._publish_status = self.session.declare_publisher(
-            self._status_key,
+            self._key("status"),
             encoding=encoding_of(ServiceStatus),
             priority=zenoh.Priority.INTERACTIVE_HIGH,
             congestion_control=zenoh.CongestionControl.DROP,
         )
-        self._queryables = [
-            self.session.declare_queryable(self._status_key, self._answer_status),
-            self.session.declare_queryable(topics.info_key(self.host, self.name), self._answer_info),
-            self.session.declare_queryable(topics.clock_key(self.host, self.name), self._answer_clock),
-        ]
-        self._token = self.session.liveliness().declare_token(topics.token_key(self.host, self.name, self.instance))
+        for last, answer in (("status", self._status), ("info", self._info), ("clock", self._clock)):
+            key = self._key(last)
+            self._queryables.append(self.session.declare_queryable(key, partial(_reply, key, answer)))
+        self._tokens.append(self.session.liveliness().declare_token(self._key(f"alive/{self.instance}")))
+
+    def _claim(self) -> None:
+        """Watch for others that claim to be this service; a shadow claims nothing."""
         self._rivals = Presence(self.session, self._check_rivals, topics.token_key(self.host, self.name, "*"))
-        self._status_thread = threading.Thread(target=self._report_status, name="status", daemon=True)
-        self._status_thread.start()
-        return self
+
+    def _go_live(self) -> None:
+        """From the shadow to the live keys: data first, then presence, so that nobody waits for our first message."""
+        moved = [(publisher, publisher.move(self._key(product))) for product, publisher in self._publishers.items()]
+        for publisher, spoken in moved:
+            if publisher.decided_on:
+                spoken.wait()
+        self._announce()
+        self._claim()
+        self._live_since_s = monotonic_s()
+        log.info("live, in the place of %s", self._handover.succeeds)
+
+    def _key(self, last: str) -> str:
+        return f"{self._handover.prefix}{self.host}/{self.name}/{last}"
 
     def __exit__(
         self,
@@ -95,9 +127,10 @@ class Service:
         """
         if topic.service != self.name:
             raise ValueError(f"service {self.name} may not publish {topic.name}")
-        key = topic.key(self.host)
-        self._topics.append(key)
-        return Publisher(self.session, topic, key, self.report)
+        self._topics.append(topic.key(self.host))
+        publisher = Publisher(self.session, topic, self._key(topic.product), self.report)
+        self._publishers[topic.product] = publisher
+        return publisher
 
     def latest(self, topic: Topic, message_type: type[M], host: str, wake: threading.Event | None = None) -> Latest[M]:
         """The newest value of a topic on one host, or on every host with ``"*"``."""
@@ -115,6 +148,7 @@ class Service:
             self.report.changed.clear()
             status = self.report.snapshot()
             self._tell_systemd(watchdog, status)
+            self._mind_predecessor()
             status.seq, status.sent_ns = seq, utc_ns()
             try:
                 self._publish_status.put(encode(status))
@@ -130,10 +164,19 @@ class Service:
         if self.report.silent_s() < max(watchdog.limit_s / 2, 2 * STATUS_PERIOD_S):
             watchdog.alive()
 
+    def _mind_predecessor(self) -> None:
+        """An announced handover excuses two claimants for a moment, not for ever."""
+        if self._live_since_s is None or monotonic_s() - self._live_since_s < HANDOVER_BUDGET_S:
+            return
+        old = [i for _, _, i in self._rivals.instances() if i.partition(AFTER)[0] == self._handover.succeeds]
+        self.report.conflict(f"{self.name} {old[0]} was to be stopped when this one took over; stop it" if old else "")
+        self._live_since_s = monotonic_s() if old else None
+
     def _check_rivals(self, presence: Presence) -> None:
-        rivals = {i for _, _, i in presence.instances()} - {self.instance}
+        present = {i for _, _, i in presence.instances()} | {self.instance}
+        rivals = claimants(present) - {self.instance}
         text = ""
-        if rivals:
+        if rivals and self.instance in claimants(present):  # whoever has an announced successor is on its way out
             text = (
                 f"{self.host}/{self.name} is claimed by {len(rivals) + 1} processes: this is {self.instance}, "
                 f"the other {', '.join(sorted(rivals))}; stop one of them"
@@ -141,11 +184,11 @@ class Service:
             log.error(text)
         self.report.conflict(text)
 
-    def _answer_status(self, query: zenoh.Query) -> None:
-        self._reply(query, self._status_key, self.report.snapshot())
+    def _status(self, query: zenoh.Query) -> ServiceStatus:
+        return self.report.snapshot()
 
-    def _answer_info(self, query: zenoh.Query) -> None:
-        info = ServiceInfo(
+    def _info(self, query: zenoh.Query) -> ServiceInfo:
+        return ServiceInfo(
             stamp_ns=utc_ns(),
             service=self.name,
             host=self.host,
@@ -157,18 +200,18 @@ class Service:
             pid=os.getpid(),
             source=self._config.source,
         )
-        self._reply(query, topics.info_key(self.host, self.name), info)
 
-    def _answer_clock(self, query: zenoh.Query) -> None:
+    def _clock(self, query: zenoh.Query) -> ClockReply:
         received_ns = utc_ns()
         asked = query.payload.to_bytes() if query.payload is not None else b""
-        reply = ClockReply(
+        return ClockReply(
             stamp_ns=int.from_bytes(asked[:8], "little"),
             request_received_ns=received_ns,
             reply_sent_ns=utc_ns(),
         )
-        self._reply(query, topics.clock_key(self.host, self.name), reply)
 
-    def _reply(self, query: zenoh.Query, key: str, message: Message) -> None:
-        with query:
-            query.reply(key, encode(message), encoding=encoding_of(type(message)))
+
+def _reply(key: str, answer: Callable[[zenoh.Query], Message], query: zenoh.Query) -> None:
+    with query:
+        message = answer(query)
+        query.reply(key, encode(message), encoding=encoding_of(type(message)))

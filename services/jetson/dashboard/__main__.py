@@ -24,6 +24,10 @@ class Server(uvicorn.Server):
         super().__init__(config)
         self._service = service
 
+    async def on_tick(self, counter: int) -> bool:
+        self._service.report.beat()  # the watchdog's proof that the event loop goes round
+        return await super().on_tick(counter)
+
     async def startup(self, sockets: list | None = None) -> None:
         try:
             await super().startup(sockets)

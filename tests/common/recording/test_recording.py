@@ -159,7 +159,7 @@ def test_a_live_recording_holds_everything_and_says_so(zenoh_config: ZenohConfig
         publish = lidar.publisher(topics.LIDAR_ZONES)
         options = RecorderOptions(tmp_path, keep_free_bytes=0)
         recorder = Recorder(laptop, [topics.LIDAR_ZONES], options, {})
-        while not publish._publisher.matching_status.matching:
+        while not publish.heard:
             time.sleep(0)  # yield to Zenoh's threads
 
         run_recorder(recorder, lambda: [publish(zones(i)) for i in range(200)] and None, 200)
@@ -199,7 +199,7 @@ def test_files_rotate_by_size_and_none_is_lost_at_the_seam(zenoh_config: ZenohCo
         publish = lidar.publisher(topics.LIDAR_ZONES)
         options = RecorderOptions(tmp_path, keep_free_bytes=0, rotate_bytes=1)
         recorder = Recorder(laptop, [topics.LIDAR_ZONES], options, {})
-        while not publish._publisher.matching_status.matching:
+        while not publish.heard:
             time.sleep(0)
         enough = threading.Event()
 
