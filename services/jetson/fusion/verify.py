@@ -6,7 +6,7 @@ verdict from them; and what it remembered is what the next one began with.
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -21,7 +21,8 @@ from services.jetson.fusion.readings import Reading, read
 from services.jetson.fusion.trace import decide_again, inputs_of, memory_of
 
 NOT_DECIDED = ("seq", "sent_ns", "received_ns")  # the publisher's fields, not the rules'
-REMEMBERED_MESSAGES = 5000
+REMEMBERED_MESSAGES = 20_000
+DELAY_MESSAGES = 1000  # topics arrive through queues of their own: a trace may overtake what it is about
 
 
 @dataclass
@@ -38,13 +39,15 @@ class Report:
 class _Pending:
     verdicts: OrderedDict[int, Verdict] = field(default_factory=OrderedDict)
     readings: OrderedDict[tuple[str, int], Reading] = field(default_factory=OrderedDict)
+    traces: deque[tuple[int, FusionTrace]] = field(default_factory=deque)  # with the count of messages before it
     after: tuple[int, FusionMemory] | None = None  # sequence number and memory after the last verdict decided again
 
 
 def verify(recorded: Iterable[tuple[str, bytes]]) -> Report:
     """Check messages ``(key, payload)`` in order of arrival; stops at the first difference."""
     report, pending = Report(), _Pending()
-    for key, payload in recorded:
+    count = 0
+    for count, (key, payload) in enumerate(recorded):
         topic = find_topic(key)
         if topic is None:
             continue
@@ -53,13 +56,23 @@ def verify(recorded: Iterable[tuple[str, bytes]]) -> Report:
         except DecodeError as error:
             report.difference = f"{key}: {error}"
             return report
-        report.difference = _take(topic.name, message, report, pending)
-        if report.difference:
+        _take(topic.name, message, count, report, pending)
+        if _check_traces(count - DELAY_MESSAGES, report, pending):
             return report
+    _check_traces(count, report, pending)
     return report
 
 
-def _take(name: str, message: Message, report: Report, pending: _Pending) -> str:
+def _check_traces(until: int, report: Report, pending: _Pending) -> bool:
+    """Check the traces that came up to this count; True when one does not hold."""
+    while pending.traces and pending.traces[0][0] <= until:
+        report.difference = _check(pending.traces.popleft()[1], report, pending)
+        if report.difference:
+            return True
+    return False
+
+
+def _take(name: str, message: Message, count: int, report: Report, pending: _Pending) -> None:
     sensor = next((sensor for sensor, topic in SENSOR_TOPICS.items() if topic.name == name), None)
     if sensor is not None:
         _keep(pending.readings, (sensor, message.stamp_ns), read(message))
@@ -67,8 +80,7 @@ def _take(name: str, message: Message, report: Report, pending: _Pending) -> str
         report.verdicts += 1
         _keep(pending.verdicts, message.seq, message)
     elif isinstance(message, FusionTrace):
-        return _check(message, report, pending)
-    return ""
+        pending.traces.append((count, message))
 
 
 def _check(trace: FusionTrace, report: Report, pending: _Pending) -> str:
