@@ -6,6 +6,7 @@ import numpy as np
 
 from common.geometry import invert, transform_points
 from common.messages import ObjectTracks
+from common.stopwatch import Stopwatch
 from services.infra_lidar.background import BackgroundModel
 from services.infra_lidar.blindness import BlindnessWatch, FrameQuality
 from services.infra_lidar.buffers import Buffers
@@ -18,7 +19,6 @@ from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.features import compute_features
 from services.infra_lidar.result import ClusterSet, FrameResult
 from services.infra_lidar.scene import Scene
-from services.infra_lidar.stopwatch import Stopwatch
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
 
 SURE = 0.7  # a cluster of this confidence is kept out of the background

@@ -8,9 +8,9 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
+from common.stopwatch import Stopwatch
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.pipeline import InfraLidarPipeline
-from services.infra_lidar.stopwatch import Stopwatch
 
 log = logging.getLogger(__name__)
 

@@ -101,7 +101,8 @@ def test_a_laptop_needs_only_zenoh_and_msgpack(running_demo: Any, tmp_path: Path
     subprocess.run([*install, "eclipse-zenoh", "msgpack"], check=True)
     script = f"""
 import msgpack, zenoh
-session = zenoh.open(zenoh.Config.from_json5('{{mode: "client", namespace: "spotter", connect: {{endpoints: ["{running_demo.endpoint}"]}}}}'))
+config = '{{mode: "client", namespace: "spotter", connect: {{endpoints: ["{running_demo.endpoint}"]}}}}'
+session = zenoh.open(zenoh.Config.from_json5(config))
 for sample in (subscriber := session.declare_subscriber("jetson0/fusion/verdict")):
     verdict = msgpack.unpackb(sample.payload.to_bytes())
     print(verdict["level"], verdict["because"]); break

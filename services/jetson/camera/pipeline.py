@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from common.messages import CameraDetection, CameraDetections, Level, worst
+from common.stopwatch import Stopwatch
 from services.jetson.camera.config import CameraConfig
 from services.jetson.camera.detector import Boxes, Detector
 from services.jetson.camera.distance import estimate, scaled
 from services.jetson.camera.health import ViewMonitor, measure, reduce
-from services.jetson.camera.stopwatch import Stopwatch
 from services.jetson.camera.zone import band, in_forward_zone
 
 
