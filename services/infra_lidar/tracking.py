@@ -191,19 +191,24 @@ class MultiObjectTracker:
         coasting = tracks["detection"] < 0
         columns = zip(
             tracks["track_id"].tolist(), best.tolist(), votes.max(axis=1, initial=0.0).tolist(),
-            tracks["mean"][:, :3].tolist(), velocity.tolist(), tracks["cov"].tolist(), tracks["size"].tolist(),
+            _triples(tracks["mean"][:, :3]), _triples(velocity), tracks["cov"].tolist(), _triples(tracks["size"]),
             tracks["yaw"].tolist(), ((self._stamp_ns - tracks["born_ns"]) * 1e-9).tolist(),
             tracks["score"].tolist(), tracks["confirmed"].tolist(), coasting.tolist(), tracks["points"].tolist(),
             strict=True,
         )  # fmt: skip
         return [
             ObjectTrack(
-                track_id=track_id, label=LABELS[label], label_confidence=min(share, 1.0), position_m=tuple(mean),
-                velocity_mps=tuple(speed), covariance=cov, size_m=tuple(size), yaw_rad=yaw, age_s=age, score=score,
+                track_id=track_id, label=LABELS[label], label_confidence=min(share, 1.0), position_m=place,
+                velocity_mps=speed, covariance=cov, size_m=size, yaw_rad=yaw, age_s=age, score=score,
                 state=("coasting" if lost else "confirmed") if confirmed else "tentative", points=0 if lost else seen,
             )
-            for track_id, label, share, mean, speed, cov, size, yaw, age, score, confirmed, lost, seen in columns
+            for track_id, label, share, place, speed, cov, size, yaw, age, score, confirmed, lost, seen in columns
         ]  # fmt: skip
+
+
+def _triples(rows: np.ndarray) -> list[tuple[float, float, float]]:
+    """(N, 3) as N tuples."""
+    return list(zip(rows[:, 0].tolist(), rows[:, 1].tolist(), rows[:, 2].tolist(), strict=True))
 
 
 def _boxes(detections: Detections) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -20,12 +20,36 @@ _jit = njit(nogil=True, cache=True, error_model="numpy")
 
 
 def associate(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs (track indices, detection indices) of least total cost among as many allowed pairs as possible."""
-    if cost.size == 0:
-        return np.empty(0, np.int64), np.empty(0, np.int64)
-    rows, columns = linear_sum_assignment(cost)
-    allowed = cost[rows, columns] < FORBIDDEN
-    return rows[allowed], columns[allowed]
+    """Pairs (track indices, detection indices) of least total cost among as many allowed pairs as possible.
+
+    Two that are allowed nobody but each other need no Hungarian: it is left with the contested ones.
+    """
+    rows, columns, contested_rows, contested_columns = _easy_pairs(cost)
+    if len(contested_rows):
+        rest = cost[np.ix_(contested_rows, contested_columns)]
+        r, c = linear_sum_assignment(rest)
+        allowed = rest[r, c] < FORBIDDEN
+        rows = np.concatenate((rows, contested_rows[r[allowed]]))
+        columns = np.concatenate((columns, contested_columns[c[allowed]]))
+    return rows, columns
+
+
+@_jit
+def _easy_pairs(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rows and columns of the pairs that have no alternative, then the rows and columns that have one."""
+    n, k = cost.shape
+    in_row, in_column, only = np.zeros(n, np.int64), np.zeros(k, np.int64), np.zeros(n, np.int64)
+    for t in range(n):
+        for d in range(k):
+            if cost[t, d] < FORBIDDEN:
+                in_row[t], in_column[d], only[t] = in_row[t] + 1, in_column[d] + 1, d
+    easy = np.zeros(n, np.bool_)
+    for t in range(n):
+        easy[t] = in_row[t] == 1 and in_column[only[t]] == 1
+        if easy[t]:
+            in_row[t] = in_column[only[t]] = 0
+    rows = np.flatnonzero(easy)
+    return rows, only[rows], np.flatnonzero(in_row), np.flatnonzero(in_column)
 
 
 @_jit

@@ -7,6 +7,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
 
 from services.infra_lidar.tracking_assign import FORBIDDEN, associate, pair_costs
 from services.infra_lidar.tracking_filter import TRACK, correct, edge_shift, innovation, predict
@@ -132,3 +133,16 @@ def test_assignment_takes_the_cheapest_allowed_pairs() -> None:
     rows, columns = associate(cost)
     assert dict(zip(rows.tolist(), columns.tolist(), strict=True)) == {0: 1, 1: 0}
     assert len(associate(np.empty((0, 5)))[0]) == 0
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 100_000), n=st.integers(0, 9), k=st.integers(0, 9), share=st.floats(0.0, 1.0))
+def test_leaving_out_the_easy_pairs_changes_nothing(seed: int, n: int, k: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    cost = np.where(rng.random((n, k)) < share, rng.normal(0, 3, (n, k)), FORBIDDEN)
+    rows, columns = associate(cost)
+    r, c = linear_sum_assignment(cost)
+    allowed = cost[r, c] < FORBIDDEN
+    assert len(set(rows.tolist())) == len(rows) == allowed.sum()
+    assert len(set(columns.tolist())) == len(columns)
+    assert cost[rows, columns].sum() == pytest.approx(cost[r, c][allowed].sum())
