@@ -46,6 +46,26 @@ class ClusterPoints:
         return np.diff(self.offsets)
 
 
+@dataclass(frozen=True)
+class _Points:
+    """Planar float32 points, their height above the road, and their index in the frame."""
+
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    above: np.ndarray
+    source: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Grouped:
+    """Points that lie together by cluster: cluster k from offsets[k] to offsets[k + 1], with its measured box."""
+
+    points: _Points
+    offsets: np.ndarray
+    box: np.ndarray
+
+
 class Clustering:
     """Clusters one sensor's frames. Holds buffers: one instance per sensor, one thread at a time."""
 
@@ -75,23 +95,13 @@ class Clustering:
         if config.body_height_m > 0:
             self._join_high(label, above, low, components)
             components = self._label_high(x, y, label, low, components)
-        components = self._join(x, y, z, above, label, components)
-        kept = self._filter(x, y, z, above, label, components)
-        if config.trim_ground:
-            offsets, order, _ = self._group(label, kept)
-            splitting.trim_feet(z, order, offsets, label)
-        if config.split == "gap":
-            offsets, order, _ = self._group(label, kept)
-            splitting.split_rows(x, y, z, order, offsets, label)
-            kept = self._compact(label)
-        if config.merge == "engulfed":
-            kept = self._engulf(x, y, z, label, kept)
-        offsets, order, count = self._group(label, kept)
-        box = self._measure(x, y, z, above, order, offsets)
-        cluster_id = self._buffers.take("cluster_id", len(frame.x), np.int32)
-        points = np.empty((count, 3), np.float32)
-        clusters.write_ids(label, source, cluster_id, order, offsets, x, y, z, points)
-        return ClusterPoints(cluster_id, points, offsets, box)
+        found = self._arrange(label, components, _Points(x, y, z, above, source), "a", self._fewest_points)
+        if config.merge == "fragments":
+            found = self._join(found)
+        found = self._filter(found)
+        if config.trim_ground or config.split == "gap" or config.merge == "engulfed":
+            found = self._second_look(found)
+        return self._result(frame, found)
 
     def _candidates(self, frame: Levelled) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
         m, take = len(frame.rest), self._buffers.take
@@ -139,65 +149,75 @@ class Clustering:
         label[free] = np.where(high >= 0, high + components, -1)
         return components + found
 
-    def _join(
-        self, x: np.ndarray, y: np.ndarray, z: np.ndarray, above: np.ndarray, label: np.ndarray, components: int
-    ) -> int:
-        """Join fragments of vehicles; returns the number of components that are left."""
-        if self._config.merge != "fragments":
-            return components
-        offsets, order, _ = self._group(label, components)
-        group = np.empty(components, np.int32)
-        merging.merge_fragments(
-            self._measure(x, y, z, above, order, offsets), np.diff(offsets), MIN_FRAGMENT_POINTS, group
-        )
-        return self._regroup(label, group)
+    @property
+    def _fewest_points(self) -> int:
+        """Components with fewer points need no look: they are neither clusters nor pieces of one."""
+        return MIN_FRAGMENT_POINTS if self._config.merge == "fragments" else self._config.min_points
 
-    def _filter(
-        self, x: np.ndarray, y: np.ndarray, z: np.ndarray, above: np.ndarray, label: np.ndarray, components: int
-    ) -> int:
-        """Drop components of impossible size; returns how many are left."""
-        offsets, order, _ = self._group(label, components)
-        keep = self._valid(self._measure(x, y, z, above, order, offsets), np.diff(offsets))
-        clusters.renumber(label, keep)
-        return int(keep.max(initial=-1)) + 1
+    def _arrange(self, label: np.ndarray, components: int, points: _Points, into: str, fewest: int = 1) -> _Grouped:
+        """Points by label, those of labels with ``fewest`` points or more, as copies that lie together."""
+        counts = self._buffers.take("counts", components, np.int32)
+        clusters.count_labels(label, counts)
+        keep = counts >= fewest
+        number = np.where(keep, np.cumsum(keep) - 1, -1).astype(np.int32)
+        offsets = np.concatenate([[0], np.cumsum(counts[keep], dtype=np.int64)])
+        total, take = int(offsets[-1]), self._buffers.take
+        axes = [take(f"{into}_{name}", total, np.float32) for name in ("x", "y", "z", "above")]
+        there = _Points(axes[0], axes[1], axes[2], axes[3], take(f"{into}_source", total, np.int32))
+        clusters.arrange(
+            label, number, offsets, points.x, points.y, points.z, points.above, points.source,
+            there.x, there.y, there.z, there.above, there.source,
+        )  # fmt: skip
+        return _Grouped(there, offsets, _measured(there, offsets))
 
-    def _engulf(self, x: np.ndarray, y: np.ndarray, z: np.ndarray, label: np.ndarray, components: int) -> int:
-        offsets, order, _ = self._group(label, components)
-        group = np.empty(components, np.int32)
-        splitting.join_engulfed(x, y, z, order, offsets, group)
-        return self._regroup(label, group)
+    def _regroup(self, found: _Grouped, group: np.ndarray, into: str) -> _Grouped:
+        """Clusters with the same ``group`` become one; those of group -1 go. Untouched when nothing changes."""
+        if len(group) == 0 or np.array_equal(group, np.arange(len(group))):
+            return found
+        used, number = np.unique(group, return_inverse=True)
+        number = number.astype(np.int32) - (used[0] < 0)
+        label = np.repeat(number, np.diff(found.offsets))
+        return self._arrange(label, len(used) - int(used[0] < 0), found.points, into)
 
-    def _compact(self, label: np.ndarray) -> int:
-        """Renumber labels without gaps; returns how many there are."""
-        used = np.unique(label[label >= 0])
-        number = np.full(int(used.max(initial=-1)) + 1, -1, np.int32)
-        number[used] = np.arange(len(used))
-        clusters.renumber(label, number)
-        return len(used)
+    def _join(self, found: _Grouped) -> _Grouped:
+        """Join fragments of vehicles."""
+        group = np.empty(len(found.box), np.int32)
+        merging.merge_fragments(found.box, np.diff(found.offsets), MIN_FRAGMENT_POINTS, group)
+        return self._regroup(found, group, "b")
 
-    def _regroup(self, label: np.ndarray, group: np.ndarray) -> int:
-        first, number = np.unique(group, return_inverse=True)
-        clusters.renumber(label, number.astype(np.int32))
-        return len(first)
-
-    def _group(self, label: np.ndarray, components: int) -> tuple[np.ndarray, np.ndarray, int]:
-        offsets = np.zeros(components + 1, np.int64)
-        order = self._buffers.take("order", len(label), np.int32)
-        labels.group(label, components, offsets, order)
-        return offsets, order, int(offsets[-1])
-
-    def _measure(
-        self, x: np.ndarray, y: np.ndarray, z: np.ndarray, above: np.ndarray, order: np.ndarray, offsets: np.ndarray
-    ) -> np.ndarray:
-        box = np.empty((len(offsets) - 1, 8), np.float32)
-        clusters.measure(x, y, z, above, order, offsets, box)
-        return box
-
-    def _valid(self, box: np.ndarray, counts: np.ndarray) -> np.ndarray:
-        """(K,) int32: new number of each component, -1 where it fails the size filters."""
-        config = self._config
+    def _filter(self, found: _Grouped) -> _Grouped:
+        """Drop clusters of impossible size."""
+        config, box, counts = self._config, found.box, np.diff(found.offsets)
         good = (counts >= config.min_points) & (counts <= config.max_points)
         good &= box[:, 5] <= config.max_height_m
         good &= box[:, 7] + box[:, 5] >= config.min_top_m
         good &= np.hypot(box[:, 3], box[:, 4]) <= config.max_diagonal_m
-        return np.where(good, np.cumsum(good) - 1, -1).astype(np.int32)
+        return self._regroup(found, np.where(good, np.arange(len(good)), -1), "c")
+
+    def _second_look(self, found: _Grouped) -> _Grouped:
+        """The article's trim, split and merge."""
+        config, count = self._config, len(found.box)
+        label = np.repeat(np.arange(count, dtype=np.int32), np.diff(found.offsets))
+        p = found.points
+        if config.trim_ground:
+            splitting.trim_feet(p.z, found.box, found.offsets, label)
+        if config.split == "gap":
+            count = splitting.split_rows(p.x, p.y, p.z, found.offsets, label)
+        found = self._arrange(label, count, p, "d")
+        if config.merge != "engulfed":
+            return found
+        group = np.empty(len(found.box), np.int32)
+        splitting.join_engulfed(found.points.x, found.points.y, found.points.z, found.offsets, group)
+        return self._regroup(found, group, "e")
+
+    def _result(self, frame: Levelled, found: _Grouped) -> ClusterPoints:
+        cluster_id = self._buffers.take("cluster_id", len(frame.x), np.int32)
+        p, points = found.points, np.empty((int(found.offsets[-1]), 3), np.float32)
+        clusters.write_ids(p.source, found.offsets, p.x, p.y, p.z, cluster_id, points)
+        return ClusterPoints(cluster_id, points, found.offsets, found.box)
+
+
+def _measured(points: _Points, offsets: np.ndarray) -> np.ndarray:
+    box = np.empty((len(offsets) - 1, 8), np.float32)
+    clusters.measure(points.x, points.y, points.z, points.above, offsets, box)
+    return box

@@ -22,3 +22,9 @@ def kernel(function: F) -> F:
 def inline(function: F) -> F:
     """A small function that is compiled into the kernels that call it."""
     return cast(F, numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")(function))
+
+
+def sum_kernel(function: F) -> F:
+    """A kernel of sums and extremes only: their order may change, so that they vectorise. Never for binning."""
+    freedom = {"reassoc", "nsz", "nnan", "contract"}
+    return cast(F, numba.njit(nogil=True, cache=True, error_model="numpy", fastmath=freedom)(function))

@@ -4,15 +4,73 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import kernel
+from services.infra_lidar.jit import kernel, sum_kernel
 
 
 @kernel
-def measure(x, y, z, above, order, offsets, box):  # type: ignore[no-untyped-def]
-    """Oriented extents of each cluster.
+def count_labels(label, counts):  # type: ignore[no-untyped-def]
+    """counts (K,) int32: points per label."""
+    counts[:] = 0
+    for i in range(label.shape[0]):
+        if label[i] >= 0:
+            counts[label[i]] += 1
 
-    Points of cluster k are order[offsets[k]:offsets[k + 1]]. box (K, 8) float32 is written: centre x, y, z, length,
-    width, height (m, length along the larger principal axis of the footprint), yaw (rad), lowest height above road.
+
+@kernel
+def arrange(label, number, offsets, x, y, z, above, source, ax, ay, az, aa, asource):  # type: ignore[no-untyped-def]
+    """Copy the points so that those of cluster ``number[label]`` lie together, in their order; -1 is left out.
+
+    offsets (K + 1,) int64 is where each cluster begins.
+    """
+    slot = offsets[:-1].copy()
+    for i in range(label.shape[0]):
+        if label[i] >= 0:
+            k = number[label[i]]
+            if k >= 0:
+                j = slot[k]
+                ax[j], ay[j], az[j], aa[j], asource[j] = x[i], y[i], z[i], above[i], source[i]
+                slot[k] = j + 1
+
+
+@sum_kernel
+def _moments(x, y):  # type: ignore[no-untyped-def]
+    """Sums of x, y, x x, x y, y y about the first point."""
+    x0, y0 = x[0], y[0]
+    sx = sy = sxx = sxy = syy = np.float32(0.0)
+    for i in range(len(x)):
+        dx, dy = x[i] - x0, y[i] - y0
+        sx += dx
+        sy += dy
+        sxx += dx * dx
+        sxy += dx * dy
+        syy += dy * dy
+    return sx, sy, sxx, sxy, syy
+
+
+@sum_kernel
+def _extent_along(x, y, x0, y0, c, s):  # type: ignore[no-untyped-def]
+    """Smallest and largest c (x - x0) + s (y - y0)."""
+    low, high = np.float32(np.inf), np.float32(-np.inf)
+    for i in range(len(x)):
+        u = c * (x[i] - x0) + s * (y[i] - y0)
+        low, high = min(low, u), max(high, u)
+    return low, high
+
+
+@sum_kernel
+def _low_high(a):  # type: ignore[no-untyped-def]
+    low, high = np.float32(np.inf), np.float32(-np.inf)
+    for i in range(len(a)):
+        low, high = min(low, a[i]), max(high, a[i])
+    return low, high
+
+
+@kernel
+def measure(x, y, z, above, offsets, box):  # type: ignore[no-untyped-def]
+    """Oriented extents of clusters whose points lie together: cluster k is offsets[k] to offsets[k + 1].
+
+    box (K, 8) float32 is written: centre x, y, z, length, width, height (m, length along the larger principal axis of
+    the footprint), yaw (rad), lowest height above the road.
     """
     for k in range(offsets.shape[0] - 1):
         first, last = offsets[k], offsets[k + 1]
@@ -20,33 +78,19 @@ def measure(x, y, z, above, order, offsets, box):  # type: ignore[no-untyped-def
         if n <= 0:
             box[k, :] = 0.0
             continue
-        x0, y0 = x[order[first]], y[order[first]]
-        sx = sy = sxx = sxy = syy = 0.0
-        for j in range(first, last):
-            i = order[j]
-            dx, dy = np.float64(x[i] - x0), np.float64(y[i] - y0)
-            sx += dx
-            sy += dy
-            sxx += dx * dx
-            sxy += dx * dy
-            syy += dy * dy
+        bx, by = x[first:last], y[first:last]
+        sx, sy, sxx, sxy, syy = _moments(bx, by)
         mx, my = sx / n, sy / n
         cxx, cxy, cyy = sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my
         yaw = 0.5 * np.arctan2(2.0 * cxy, cxx - cyy)
         c, s = np.float32(np.cos(yaw)), np.float32(np.sin(yaw))
-        u0 = v0 = w0 = a0 = np.float32(np.inf)
-        u1 = v1 = w1 = np.float32(-np.inf)
-        for j in range(first, last):
-            i = order[j]
-            dx, dy = x[i] - x0, y[i] - y0
-            u, v = c * dx + s * dy, c * dy - s * dx
-            u0, u1 = min(u0, u), max(u1, u)
-            v0, v1 = min(v0, v), max(v1, v)
-            w0, w1 = min(w0, z[i]), max(w1, z[i])
-            a0 = min(a0, above[i])
+        u0, u1 = _extent_along(bx, by, bx[0], by[0], c, s)
+        v0, v1 = _extent_along(bx, by, bx[0], by[0], -s, c)
+        w0, w1 = _low_high(z[first:last])
+        a0, _ = _low_high(above[first:last])
         u, v = (u0 + u1) * np.float32(0.5), (v0 + v1) * np.float32(0.5)
-        box[k, 0] = x0 + c * u - s * v
-        box[k, 1] = y0 + s * u + c * v
+        box[k, 0] = bx[0] + c * u - s * v
+        box[k, 1] = by[0] + s * u + c * v
         box[k, 2] = (w0 + w1) * np.float32(0.5)
         box[k, 3], box[k, 4], box[k, 5] = u1 - u0, v1 - v0, w1 - w0
         box[k, 6] = yaw
@@ -97,20 +141,10 @@ def drop_high_of_low(label, low, tall):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def renumber(label, keep):  # type: ignore[no-untyped-def]
-    """label -> keep[label] (-1 stays -1)."""
-    for i in range(label.shape[0]):
-        if label[i] >= 0:
-            label[i] = keep[label[i]]
-
-
-@kernel
-def write_ids(label, source, cluster_id, order, offsets, x, y, z, grouped):  # type: ignore[no-untyped-def]
-    """Cluster id per point of the frame, and the points (M, 3) in cluster order."""
+def write_ids(source, offsets, x, y, z, cluster_id, points):  # type: ignore[no-untyped-def]
+    """cluster_id (N,) of the frame and points (M, 3), from points that lie together by cluster."""
     cluster_id[:] = -1
-    for i in range(label.shape[0]):
-        if label[i] >= 0:
-            cluster_id[source[i]] = label[i]
-    for j in range(offsets[-1]):
-        i = order[j]
-        grouped[j, 0], grouped[j, 1], grouped[j, 2] = x[i], y[i], z[i]
+    for k in range(offsets.shape[0] - 1):
+        for i in range(offsets[k], offsets[k + 1]):
+            cluster_id[source[i]] = k
+            points[i, 0], points[i, 1], points[i, 2] = x[i], y[i], z[i]

@@ -15,6 +15,7 @@ BIN_M = 0.01  # resolution of the height histograms
 CLIPPED = np.int16(-1)  # outside the range or height limits
 NO_RETURN_M = np.float32(0.5)  # the housing; drivers also write (0, 0, 0) where nothing came back
 FAR_M = np.float32(1e4)
+NOT_A_NUMBER = np.float32(np.nan)
 HALF_PI = np.float32(np.pi / 2)
 PI = np.float32(np.pi)
 
@@ -45,16 +46,32 @@ def level(points, T, near_m, x, y, z):  # type: ignore[no-untyped-def]
     r00, r01, r02, tx = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
     r10, r11, r12, ty = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
     r20, r21, r22, tz = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
+    least, most, near2 = NO_RETURN_M * NO_RETURN_M, FAR_M * FAR_M, near_m * near_m
+    a, b, c = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    squared = np.empty(BLOCK, np.float32)
     near, returns = 0, 0
-    for i in range(points.shape[0]):
-        a, b, c = points[i, 0], points[i, 1], points[i, 2]
-        squared = a * a + b * b + c * c
-        valid = (squared > NO_RETURN_M * NO_RETURN_M) & (squared < FAR_M * FAR_M)
-        near += valid & (squared < near_m * near_m)
-        returns += valid
-        x[i] = r00 * a + r01 * b + r02 * c + tx
-        y[i] = r10 * a + r11 * b + r12 * c + ty
-        z[i] = r20 * a + r21 * b + r22 * c + tz if valid else np.float32(np.nan)
+    for start in range(0, points.shape[0], BLOCK):
+        n = min(BLOCK, points.shape[0] - start)
+        block = points[start : start + n]
+        bx, by, bz = x[start : start + n], y[start : start + n], z[start : start + n]
+        for i in range(n):  # the only loop that reads the interleaved rows
+            a[i], b[i], c[i] = block[i, 0], block[i, 1], block[i, 2]
+        for i in range(n):
+            squared[i] = a[i] * a[i] + b[i] * b[i] + c[i] * c[i]
+        for i in range(n):
+            bx[i] = r00 * a[i] + r01 * b[i] + r02 * c[i] + tx
+        for i in range(n):
+            by[i] = r10 * a[i] + r11 * b[i] + r12 * c[i] + ty
+        for i in range(n):
+            h = r20 * a[i] + r21 * b[i] + r22 * c[i] + tz
+            bz[i] = h if (squared[i] > least) & (squared[i] < most) else NOT_A_NUMBER
+        block_returns, block_near = np.int32(0), np.int32(0)
+        for i in range(n):
+            block_returns += np.int32((squared[i] > least) & (squared[i] < most))
+        for i in range(n):
+            block_near += np.int32((squared[i] > least) & (squared[i] < near2))
+        returns += block_returns
+        near += block_near
     return returns, near
 
 
@@ -125,18 +142,21 @@ def label_ground(x, y, z, cell, surface, below, above, keep_below, ground, above
     M other points inside the limits their height above the road and their index; returns M.
     Points below the band are no obstacle (mirror images in puddles, ditches) unless ``keep_below``.
     """
-    m = 0
-    for i in range(cell.shape[0]):
-        c = cell[i]
-        if c < 0:
-            ground[i] = False
-            continue
-        h = z[i] - (surface[c, 0] + surface[c, 1] * x[i] + surface[c, 2] * y[i])
-        is_ground = (h >= -below) & (h <= above)
-        ground[i] = is_ground
-        rest[m] = i
-        above_ground[m] = h
-        m += (h > above) | (keep_below & (h < -below))
+    n, m = cell.shape[0], 0
+    height = np.empty(BLOCK, np.float32)
+    for start in range(0, n, BLOCK):
+        stop = min(start + BLOCK, n)
+        bx, by, bz, bc, bg = x[start:stop], y[start:stop], z[start:stop], cell[start:stop], ground[start:stop]
+        for i in range(stop - start):
+            c = max(bc[i], 0)
+            h = bz[i] - (surface[c, 0] + surface[c, 1] * bx[i] + surface[c, 2] * by[i])
+            height[i] = h if bc[i] >= 0 else NOT_A_NUMBER  # fails every comparison below
+        for i in range(stop - start):
+            bg[i] = (height[i] >= -below) & (height[i] <= above)
+        for i in range(stop - start):  # without branches: the next point overwrites what is not kept
+            rest[m] = start + i
+            above_ground[m] = height[i]
+            m += (height[i] > above) | (keep_below & (height[i] < -below))
     return m
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.jit import inline, kernel, sum_kernel
 
 BINS = 30  # edges along the main axis
 GAP_SHARE = 0.2  # a bin with less than this share of the mean is a gap
@@ -12,21 +12,18 @@ TRIM_ABOVE_ROAD_M, TRIM_MIN_HEIGHT_M, TRIM_SHARE = 0.25, 0.5, 0.05
 
 
 @kernel
-def trim_feet(z, order, offsets, label):  # type: ignore[no-untyped-def]
+def trim_feet(z, box, offsets, label):  # type: ignore[no-untyped-def]
     """Take the lowest twentieth off clusters that stand on the road: it is road. Their label becomes -1.
 
-    As in the article the road is that of the calibration, z = 0.
+    Points of cluster k lie together from offsets[k] on. As in the article the road is that of the calibration, z = 0.
     """
     for k in range(offsets.shape[0] - 1):
-        members = order[offsets[k] : offsets[k + 1]]
-        n = len(members)
-        if n == 0:
+        first, last = offsets[k], offsets[k + 1]
+        if box[k, 2] - 0.5 * box[k, 5] >= TRIM_ABOVE_ROAD_M or box[k, 5] <= TRIM_MIN_HEIGHT_M:
             continue
-        heights = z[members]
-        if heights.min() >= TRIM_ABOVE_ROAD_M or heights.max() - heights.min() <= TRIM_MIN_HEIGHT_M:
-            continue
-        limit = np.partition(heights, int(TRIM_SHARE * n))[int(TRIM_SHARE * n)]
-        for i in members:
+        rank = int(TRIM_SHARE * (last - first))
+        limit = np.partition(z[first:last], rank)[rank]
+        for i in range(first, last):
             if z[i] <= limit:
                 label[i] = -1
 
@@ -77,14 +74,18 @@ def _main_axis(x, y, z, members):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def split_rows(x, y, z, order, offsets, label):  # type: ignore[no-untyped-def]
+def split_rows(x, y, z, offsets, label):  # type: ignore[no-untyped-def]
     """Cut elongated clusters of a person's height at gaps along their main axis, if the pieces look like people.
 
-    Rewrites ``label`` of the points; pieces get numbers from K on. Returns the number of labels.
+    Points of cluster k lie together from offsets[k] on; those of label -1 (trimmed) do not count. Rewrites ``label``;
+    pieces get numbers from K on. Returns the number of labels.
     """
     total = offsets.shape[0] - 1
     for k in range(offsets.shape[0] - 1):
-        members = order[offsets[k] : offsets[k + 1]]
+        if offsets[k + 1] - offsets[k] <= 150:
+            continue
+        members = np.arange(offsets[k], offsets[k + 1])
+        members = members[label[members] >= 0]
         if not _is_row(z, members):
             continue
         linearity, axis, along = _main_axis(x, y, z, members)
@@ -147,14 +148,15 @@ def _pieces(along):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def join_engulfed(x, y, z, order, offsets, group):  # type: ignore[no-untyped-def]
+def join_engulfed(x, y, z, offsets, group):  # type: ignore[no-untyped-def]
     """A cluster whose box lies inside another's, with less than half of its points, joins it. group (K,) is written."""
     total = offsets.shape[0] - 1
     box = np.empty((total, 6), np.float32)
     for k in range(total):
-        members = order[offsets[k] : offsets[k + 1]]
-        box[k, 0], box[k, 1], box[k, 2] = x[members].min(), y[members].min(), z[members].min()
-        box[k, 3], box[k, 4], box[k, 5] = x[members].max(), y[members].max(), z[members].max()
+        first, last = offsets[k], offsets[k + 1]
+        box[k, 0], box[k, 3] = _low_high(x[first:last])
+        box[k, 1], box[k, 4] = _low_high(y[first:last])
+        box[k, 2], box[k, 5] = _low_high(z[first:last])
     for b in range(total):
         group[b] = b
         for a in range(total):
@@ -169,3 +171,11 @@ def join_engulfed(x, y, z, order, offsets, group):  # type: ignore[no-untyped-de
     for b in range(total):
         while group[group[b]] != group[b]:
             group[b] = group[group[b]]
+
+
+@sum_kernel
+def _low_high(a):  # type: ignore[no-untyped-def]
+    low, high = np.float32(np.inf), np.float32(-np.inf)
+    for i in range(len(a)):
+        low, high = min(low, a[i]), max(high, a[i])
+    return low, high
