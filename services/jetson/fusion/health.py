@@ -15,6 +15,7 @@ from common.pubsub import Received
 from common.topics import Topic, status_topic
 from services.jetson.fusion.config import HealthConfig
 from services.jetson.fusion.evidence import SensorInput
+from services.jetson.fusion.ordering import Ordering
 from services.jetson.fusion.readings import Reading, read
 
 STATUS_AGE_LIMIT_S = status_topic("any").age_limit_s or 3.0
@@ -26,7 +27,7 @@ RANK_OF_STATE: dict[SensorState, int] = {"online": 0, "degraded": 1, "disconnect
 class Surroundings:
     """What is known about a sensor's service from outside its data."""
 
-    instances: int = 1  # tokens of this service on its host
+    instances: tuple[str, ...] = ()  # of this service on its host, from the tokens
     host_alive: bool = True  # any token of that host
     isolated: bool = False  # we have lost our own link
     status: Received[ServiceStatus] | None = None
@@ -58,6 +59,7 @@ class SensorWatch:
         self.limit_s: float = topic.age_limit_s
         self.frame: Frame | None = None
         self._config = config
+        self._ordering = Ordering(self.limit_s)
         self._arrivals_s: deque[float] = deque()
         self._fresh_frames = 0  # in a row that came in time
         self._good_frames = 0  # in a row without any fault
@@ -77,7 +79,7 @@ class SensorWatch:
         stamp_age_s = 0.0
         if around.clock_offset_s is not None:
             stamp_age_s = (received.arrived_ns - message.stamp_ns) * 1e-9 + around.clock_offset_s
-        refused = self._out_of_order(received)
+        refused = self._ordering.check(received, " ".join(around.instances))
         if refused:
             return refused
         self.frame = Frame(received, read(message), stamp_age_s)
@@ -107,22 +109,11 @@ class SensorWatch:
             return None
         return max(0.0, now_s - self.frame.received.arrived_s) + max(0.0, self.frame.stamp_age_s)
 
-    def _out_of_order(self, received: Received[Message]) -> str:
-        """Why a repeated or overtaken message is dropped; a new order that persists is accepted."""
-        if self.frame is None:
-            return ""
-        last, new = self.frame.received, received.message
-        if new.seq > last.message.seq or new.stamp_ns > last.message.stamp_ns:
-            return ""
-        if received.arrived_s - last.arrived_s > self.limit_s:
-            return ""  # nothing newer came for so long: this is the new beginning
-        return "repeated" if new.stamp_ns == last.message.stamp_ns else "out of order"
-
     def _link_fault(self, now_s: float, around: Surroundings) -> Fault | None:
         """The links before the data, first broken one first: our own, the host, the process, the device."""
         if around.isolated:
             return Fault("disconnected", "isolated", "fusion has lost its own link to the network")
-        if around.instances == 0:
+        if not around.instances:
             return self._gone(now_s, around)
         self._was_there, self._data_ended_s_before_token = True, None
         status = self._status(now_s, around)
@@ -159,8 +150,11 @@ class SensorWatch:
             return Fault("degraded", "clock", f"data stamped {-self.frame.stamp_age_s:.1f} s in the future")
         if around.clock_distrust:
             return Fault("degraded", "clock", f"{self.host}/{self.service}: {around.clock_distrust}")
-        if around.instances > 1:
-            text = f"{around.instances} processes claim {self.host}/{self.service}"
+        if len(around.instances) > 1:
+            text = f"{len(around.instances)} processes claim {self.host}/{self.service}"
+            return Fault("degraded", "two_claimants", text)
+        if self._ordering.two_senders(now_s):
+            text = f"sequence numbers go back and forth: does somebody else send as {self.host}/{self.service}?"
             return Fault("degraded", "two_claimants", text)
         if self.frame.reading.state == "degraded":
             return Fault("degraded", "impaired", self.frame.reading.reason or "degraded, no reason given")

@@ -6,7 +6,7 @@ from collections import Counter
 from typing import Any
 
 from common.messages import EgoMotion, ServiceStatus
-from common.presence import Instance
+from common.presence import Instance, claimants
 from common.pubsub import Received
 from common.topics import CAMERA_DETECTIONS, EGO_MOTION, INFRA_TRACKS, LIDAR_ZONES, RADAR_TRACKS, Topic
 from services.jetson.fusion.clocks import ClockWatch, OwnClock
@@ -105,8 +105,8 @@ class Inbox:
 
     def _surroundings(self, name: str, seen: Observation) -> Surroundings:
         watch, clock = self.watches[name], self.clocks[name]
-        instances = count_instances(seen.present, watch.host, watch.service)
-        if instances == 0:
+        instances = instances_of(seen.present, watch.host, watch.service)
+        if not instances:
             clock.forget()  # whoever comes next has a clock of its own
         best, undatable = clock.estimate(seen.now_s), bool(self.own_clock_doubt(seen.now_s))
         why, refused_s = self._refused.get(name, ("", seen.now_s))
@@ -121,5 +121,5 @@ class Inbox:
         )
 
 
-def count_instances(present: frozenset[Instance], host: str, service: str) -> int:
-    return sum(one[0] == host and one[1] == service for one in present)
+def instances_of(present: frozenset[Instance], host: str, service: str) -> tuple[str, ...]:
+    return tuple(sorted(one[2] for one in present if one[0] == host and one[1] == service))

@@ -46,11 +46,35 @@ def test_a_frozen_stamp_is_stale_although_messages_come(bench: Any) -> None:
     assert bench.is_in("camera", "disconnected", "stale")
 
 
-def test_a_sequence_that_jumps_is_accepted(bench: Any) -> None:
+def test_a_sequence_that_jumps_ahead_or_goes_back_once_is_accepted(bench: Any) -> None:
     for jump in (10**9, 2**62, 0):
         bench.seq["radar"] = jump
         bench.run(0.3)
         assert bench.is_in("radar", "online")
+
+
+def test_two_senders_on_one_key_are_noticed_and_their_alarms_count(bench: Any, messages: Any) -> None:
+    """The forger says SAFE between the radar's own messages, under numbers of its own."""
+    bench.levels["radar"] = "IMMINENT"
+    for step in range(20):
+        bench.run(0.1)
+        forged = messages.radar(bench.now_ns, "SAFE")
+        forged.seq = step
+        bench.receive(bench.key("radar"), forged)
+        bench.tick()
+    assert bench.is_in("radar", "degraded", "two_claimants")
+    assert "somebody else" in bench.sensor("radar").reason
+    assert {verdict.level for verdict in bench.verdicts[-20:]} == {"IMMINENT"}, "held between the radar's own messages"
+    bench.run(3.0)
+    assert bench.is_in("radar", "online")
+
+
+def test_a_restart_is_not_a_second_sender(bench: Any) -> None:
+    for instance in range(5):
+        bench.kill("radar")
+        bench.start("radar", f"instance {instance}")
+        bench.run(0.4)
+    assert bench.is_in("radar", "online")
 
 
 def test_a_restarted_sensor_begins_a_new_sequence(bench: Any) -> None:
