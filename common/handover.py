@@ -27,8 +27,9 @@ class Handover:
         shadow = os.environ.get("SPOTTER_SHADOW", "")
         self.prefix = f"{shadow}/" if shadow else ""
         self.succeeds = os.environ.get("SPOTTER_SUCCEEDS", "") if shadow else ""
-        if shadow:  # before any thread starts: the signal then waits for ours
-            signal.pthread_sigmask(signal.SIG_BLOCK, {PROMOTE})
+        if shadow:  # the handler only writes a byte: it may interrupt the main thread anywhere, locks held
+            self._promoted, tell = os.pipe()
+            signal.signal(PROMOTE, lambda *_: os.write(tell, b"!") and None)
 
     def when_promoted(self, go_live: Callable[[], None]) -> None:
         """Call ``go_live`` from a thread of its own when the signal comes. Nothing to wait for in a live process."""
@@ -36,7 +37,7 @@ class Handover:
             return
 
         def wait() -> None:
-            signal.sigwait({PROMOTE})
+            os.read(self._promoted, 1)
             self.prefix = ""
             go_live()
 

@@ -130,7 +130,7 @@ def service_child(row: ServiceRow, plan: Plan) -> Child:
         command += ["--set", setting]
     if row.name in plan.sources:
         command += ["--source", plan.sources[row.name]]
-    return Child(row.name, command, environment=_environment())
+    return Child(row.name, command, environment=service_environment())
 
 
 def parse_settings(texts: list[str]) -> dict[str, tuple[str, ...]]:
@@ -160,10 +160,10 @@ def _script(name: str) -> list[str]:
 def _for_strangers(row: ServiceRow, plan: Plan) -> dict[str, str]:
     """What a program that is not ours needs to know, in its environment."""
     told = {"SPOTTER_HOST": row.host, "SPOTTER_CONNECT": plan.listen[0], "SPOTTER_NAMESPACE": plan.namespace}
-    return {**_environment(), **told}
+    return {**service_environment(), **told}
 
 
-def _environment() -> dict[str, str]:
+def service_environment() -> dict[str, str]:
     """One thread for the numeric libraries: each service has its core's share, not the whole machine."""
     one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     return {**one_thread, **os.environ, "PYTHONUNBUFFERED": "1"}

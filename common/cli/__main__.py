@@ -6,13 +6,18 @@ import typer
 
 from common.cli.demo import demo
 from common.cli.doctor import doctor
+from common.cli.export import export
+from common.cli.foxglove import foxglove
 from common.cli.incident import app as incident
 from common.cli.install import install
 from common.cli.keys import keys
 from common.cli.look import echo, health, hz, ls
+from common.cli.metrics import metrics
 from common.cli.record import record
 from common.cli.replay import replay
 from common.cli.router import router
+from common.cli.swap import swap
+from common.cli.top import top
 from common.cli.up import up
 
 app = typer.Typer(
@@ -22,7 +27,24 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (demo, up, router, ls, echo, hz, health, record, replay, doctor, install):
+for command in (
+    demo,
+    up,
+    router,
+    ls,
+    echo,
+    hz,
+    health,
+    record,
+    replay,
+    doctor,
+    install,
+    swap,
+    top,
+    export,
+    metrics,
+    foxglove,
+):
     app.command()(command)
 app.add_typer(keys, name="keys")
 app.add_typer(incident, name="incident")

@@ -1,0 +1,89 @@
+"""`spotter swap SERVICE --candidate CMD`: replace a running service without a gap, or say why not."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from common.cli.connect import DEFAULT_ENDPOINT, Connect, Namespace, bus
+from common.cli.fail import fail
+from common.swap.compare import Limits
+from common.swap.run import Order, Outcome
+from common.swap.run import swap as run_swap
+from common.topics import service_row
+
+
+def swap(
+    service: Annotated[str, typer.Argument(help="The service to replace, e.g. radar.")],
+    candidate: Annotated[str, typer.Option("--candidate", help="Command of the replacement, e.g. 'spotter-radar'.")],
+    seconds: Annotated[float, typer.Option(min=1.0, help="How long both are compared.")] = 20.0,
+    probation: Annotated[float, typer.Option(min=1.0, help="How long the new one is watched.")] = 5.0,
+    min_rate: Annotated[float, typer.Option(help="Of the live rate.")] = Limits().rate,
+    min_matches: Annotated[float, typer.Option(help="Of the objects of both.")] = Limits().matches,
+    max_weaker: Annotated[float, typer.Option(help="Share of messages with a lower level.")] = Limits().weaker,
+    host: Annotated[str, typer.Option("--host", help="Where it runs, if not where the topics table says.")] = "",
+    stop: Annotated[
+        str, typer.Option("--stop", help="How its supervisor stops the old one, e.g. 'systemctl stop spotter-radar'.")
+    ] = "",
+    log: Annotated[Path | None, typer.Option("--log", help="The candidate's output; default swap-SERVICE.log.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Compare only.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    namespace: Namespace = "spotter",
+) -> None:
+    """Run a candidate in the shadow of a live service, compare, promote it or leave everything as it is."""
+    try:
+        row = service_row(service)
+    except KeyError as error:
+        fail(str(error.args[0]), code=2)
+    order = Order(
+        service=service,
+        host=host or row.host,
+        candidate=candidate,
+        seconds=seconds,
+        probation_s=probation,
+        limits=Limits(rate=min_rate, matches=min_matches, weaker=max_weaker),
+        connect=connect.split(",")[0],
+        namespace=namespace,
+        stop_command=stop,
+        log=log or Path(f"swap-{service}.log"),
+        dry_run=dry_run,
+    )
+    with bus(connect, namespace) as session:
+        outcome = run_swap(session, order, lambda text: print(f"  {text}", file=sys.stderr))
+    print(msgspec.json.encode(outcome).decode() if as_json else "\n".join(_lines(order, outcome)))
+    raise SystemExit(0 if outcome.promoted or (dry_run and not outcome.reasons) else 1)
+
+
+def _lines(order: Order, outcome: Outcome) -> list[str]:
+    lines = []
+    if (c := outcome.comparison) is not None:
+        lines += [
+            f"rate      live {c.live_hz:.1f} Hz, candidate {c.candidate_hz:.1f} Hz",
+            f"latency   live {_ms(c.live_p95_ms)}, candidate {_ms(c.candidate_p95_ms)} (95 %)",
+            f"objects   {_share(c.matches)} in common over {c.pairs} pairs of messages",
+            f"level     lower in {_share(c.weaker)}, higher in {_share(c.stronger)}",
+        ]
+    if (h := outcome.handover) is not None:
+        lines.append(
+            f"handover  longest gap {h.longest_gap_ms:.0f} ms (usual {h.usual_gap_ms:.0f} ms), {h.missed} missed, "
+            f"{h.verdict_flaps} verdict flaps, {h.health_flaps} health flaps"
+        )
+    if outcome.promoted:
+        lines.append(f"promoted: {outcome.new}, process {outcome.pid}. To keep it after a restart, put into site.toml:")
+        lines.append(f"  [hosts.{order.host}.services.{order.service}]  command = {order.candidate!r}")
+    elif not outcome.reasons:
+        lines.append("it may take over (nothing was changed)")
+    return lines + [f"{'note' if outcome.promoted else 'not promoted'}: {reason}" for reason in outcome.reasons]
+
+
+def _ms(value: float | None) -> str:
+    return "-" if value is None else f"{value:.0f} ms"
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{value:.0%}"

@@ -1,0 +1,114 @@
+"""Processes: the candidate that is started, the old service that is stopped, and the way back."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import subprocess
+from pathlib import Path
+
+from common.handover import PROMOTE
+from common.hosts import service_environment
+from common.security.rules import SHADOW
+
+STOP_BUDGET_S = 5.0
+
+
+def command_line(command: str, host: str, connect: str, namespace: str) -> list[str]:
+    """The candidate's words; our own services are also told where they are, others read it from the environment."""
+    words = shlex.split(command)
+    if Path(words[0]).name.startswith("spotter-"):
+        for setting in (f"host={host}", f'zenoh.connect=["{connect}"]', f"zenoh.namespace={namespace}"):
+            words += ["--set", setting]
+    return words
+
+
+class Candidate:
+    """A process in the shadow. Its log goes to a file; it outlives us once it is live."""
+
+    def __init__(self, words: list[str], told: dict[str, str], succeeds: str, log: Path) -> None:
+        environment = {**service_environment(), **told, "SPOTTER_SHADOW": SHADOW, "SPOTTER_SUCCEEDS": succeeds}
+        self.log = log
+        with log.open("wb") as output:
+            self._process = subprocess.Popen(
+                words,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def ended(self) -> str:
+        """How it ended, with the last line of its log; empty while it runs."""
+        code = self._process.poll()
+        if code is None:
+            return ""
+        lines = self.log.read_text(errors="replace").strip().splitlines()
+        return f"it ended with code {code}: {lines[-1] if lines else 'no output'}"
+
+    def promote(self) -> None:
+        self._process.send_signal(PROMOTE)
+
+    def stop(self) -> None:
+        if self._process.poll() is not None:
+            return
+        self._process.terminate()
+        try:
+            self._process.wait(STOP_BUDGET_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+class Predecessor:
+    """The running service: stopped by a signal or by its supervisor's command, started again if need be."""
+
+    def __init__(self, pid: int, stop_command: str) -> None:
+        self.pid = pid
+        self._stop_command = shlex.split(stop_command)
+        self._words, self._environment = _remember(pid)
+
+    @property
+    def reachable(self) -> bool:
+        """Can be stopped from here."""
+        return bool(self._stop_command or self._words)
+
+    def stop(self) -> None:
+        if self._stop_command:
+            subprocess.run(self._stop_command, check=True, timeout=30, stdout=subprocess.DEVNULL)
+        else:
+            os.kill(self.pid, signal.SIGTERM)
+
+    def start_again(self, log: Path) -> bool:
+        """With the words and the environment that it had; False when those are not known."""
+        if not self._words:
+            return False
+        with log.open("ab") as output:
+            subprocess.Popen(
+                self._words,
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                start_new_session=True,
+            )
+        return True
+
+
+def _remember(pid: int) -> tuple[list[str], dict[str, str]]:
+    """Words and environment of a process of ours on this machine, read before it is stopped; empty if not here."""
+    try:
+        words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")[:-1]
+        pairs = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")[:-1]
+    except OSError:
+        return [], {}
+    environment = dict(pair.decode(errors="surrogateescape").split("=", 1) for pair in pairs if b"=" in pair)
+    for name in ("SPOTTER_SHADOW", "SPOTTER_SUCCEEDS", "NOTIFY_SOCKET", "WATCHDOG_PID"):
+        environment.pop(name, None)
+    return [word.decode(errors="surrogateescape") for word in words], environment
