@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from common.messages import Message, SensorHealth, SensorState, ServiceStatus
 from common.pubsub import Received
@@ -18,7 +18,7 @@ from services.jetson.fusion.evidence import SensorInput
 from services.jetson.fusion.ordering import Ordering
 from services.jetson.fusion.readings import Reading, read
 
-STATUS_AGE_LIMIT_S = status_topic("any").age_limit_s or 3.0
+STATUS_AGE_LIMIT_S = cast(float, status_topic("any").age_limit_s)
 
 RANK_OF_STATE: dict[SensorState, int] = {"online": 0, "degraded": 1, "disconnected": 2}
 

@@ -47,9 +47,9 @@ def tabulate(tracks: list[ObjectTrack]) -> TrackTable:
     kept = tuple(track for track in tracks if track.state != "tentative" and track.label != "background")
     return TrackTable(
         kept,
-        np.array([track.position_m for track in kept], float).reshape(-1, 3),
-        np.array([track.velocity_mps for track in kept], float).reshape(-1, 3),
-        np.array([track.covariance for track in kept], float).reshape(-1, 6, 6),
+        np.array([track.position_m for track in kept], float).reshape(len(kept), 3),
+        np.array([track.velocity_mps for track in kept], float).reshape(len(kept), 3),
+        np.array([track.covariance for track in kept], float).reshape(len(kept), 6, 6),
         np.array([max(track.size_m[0], track.size_m[1]) / 2 for track in kept], float),
     )
 

@@ -76,6 +76,29 @@ def test_what_does_not_run_into_us(harmless: ObjectTrack) -> None:
     assert threat(harmless) is None
 
 
+def test_the_limits_are_inclusive() -> None:
+    low, high = np.array([[-1.0, -1.0]]), np.array([[1.0, 1.0]])
+    for edge in (1.0, -1.0):
+        assert time_to_enter(np.array([[5.0, edge]]), np.array([[-1.0, 0.0]]), low, high).tolist() == [4.0]
+    assert threat(track(1.4, 0.0, -0.5, 0.0), min_speed_mps=0.5) is not None, "just fast enough"
+    assert threat(track(1.4, 0.0, -0.49, 0.0), min_speed_mps=0.5) is None
+    for sigma_m, found in ((2.0, True), (2.1, False)):
+        covariance = (np.eye(6) * sigma_m**2).tolist()
+        assert (threat(track(5.0, 0.0, -4.0, 0.0, covariance=covariance)) is not None) == found
+
+
+@pytest.mark.parametrize(("vx_mps", "found"), [(-0.01, True), (0.0, False), (0.05, False)])
+def test_only_what_comes_nearer_counts_even_beside_us(vx_mps: float, found: bool) -> None:
+    assert (threat(track(1.0, 0.0, vx_mps, 1.0)) is not None) == found
+
+
+def test_the_explanation_is_rounded_for_people() -> None:
+    covariance = (np.eye(6) * 0.05).tolist()
+    found = threat(track(10.0, 0.0, -3.3, 0.0, covariance=covariance))
+    assert found is not None
+    assert (found.deciding["ttc_s"], found.deciding["sigma_m"]) == (2.73, 0.22)
+
+
 def test_what_has_no_class_keeps_its_right_to_alarm() -> None:
     assert threat(track(5.0, 0.0, -4.0, 0.0, label="unknown")) is not None
 
