@@ -97,7 +97,8 @@ class Demo:
 def start_demo(tmp_path: Path, free_port: Callable[[], int], *arguments: str) -> Demo:
     port, endpoint, log = free_port(), f"tcp/127.0.0.1:{free_port()}", tmp_path / "demo.log"
     command = [SPOTTER, "demo", "--listen", endpoint, "--port", str(port), *arguments]
-    process = subprocess.Popen(command, stdout=log.open("wb"), stderr=subprocess.STDOUT, start_new_session=True)
+    with log.open("wb") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
     return Demo(process, endpoint, port, log)
 
 
@@ -128,7 +129,10 @@ def running_demo(tmp_path_factory: pytest.TempPathFactory, module_ports: Callabl
     """One demo of `crossing` for a module's tests, up and with every sensor online."""
     demo = start_demo(tmp_path_factory.mktemp("demo"), module_ports)
     try:
-        demo.recorder.wait(all_online, budget_s=110.0)
+        try:
+            demo.recorder.wait(all_online, budget_s=110.0)
+        except AssertionError as error:
+            raise AssertionError(f"{error}\n{demo.log.read_text()[-4000:]}") from None
         yield demo
     finally:
         stop_demo(demo)
@@ -169,7 +173,8 @@ def demo_json(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         str(ports[1]),
     ]
     log = tmp_path_factory.mktemp("json") / "log"
-    finished = subprocess.run(command, stdout=subprocess.PIPE, stderr=log.open("wb"), timeout=150, check=False)
+    with log.open("wb") as output:
+        finished = subprocess.run(command, stdout=subprocess.PIPE, stderr=output, timeout=150, check=False)
     assert finished.returncode == 0, log.read_text()[-4000:]
     result: dict[str, Any] = json.loads(finished.stdout)
     return result
