@@ -1,0 +1,63 @@
+"""The top view: pictures are drawn, the ways behind tracks are remembered and forgotten."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib", reason="needs the plot extra")
+
+from common.config import ConfigError
+from common.messages import ObjectTrack
+from services.infra_lidar import plot
+from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.warm_up import made_up_frame
+
+
+def track(track_id: int, x: float) -> ObjectTrack:
+    return ObjectTrack(
+        track_id=track_id, label="car", label_confidence=0.9, position_m=(x, 1.0, 0.7), velocity_mps=(5.0, 0.0, 0.0),
+        covariance=np.eye(6).tolist(), size_m=(4.0, 1.8, 1.5), yaw_rad=0.3, age_s=1.0, score=0.8, state="confirmed",
+        points=50,
+    )  # fmt: skip
+
+
+def test_ways_follow_tracks_and_forget_the_gone() -> None:
+    ways = plot.Ways()
+    ways.follow([track(1, 0.0), track(2, 5.0)])
+    first, second = ways.follow([track(1, 1.0), track(2, 6.0)])
+    assert first.tolist() == [[0.0, 1.0], [1.0, 1.0]]
+    assert second[:, 0].tolist() == [5.0, 6.0]
+    ways.follow([track(2, 7.0)])
+    assert ways.follow([track(1, 9.0)])[0].tolist() == [[9.0, 1.0]]
+
+
+def recorded(folder: Path, frames: int) -> InfraLidarConfig:
+    folder.mkdir()
+    for number in range(frames):
+        points = made_up_frame()
+        np.savez(folder / f"{number:03d}.npz", xyz=points[:, :3], intensity=points[:, 3], stamp=1e9 + 0.1 * number)
+    return InfraLidarConfig(source=f"file:{folder}?rate=0")
+
+
+def test_a_folder_of_pictures(tmp_path: Path) -> None:
+    config = recorded(tmp_path / "recording", 4)
+    assert plot.plot_source(config, tmp_path / "out", frames=3, reach_m=20.0) == 3
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["00000.png", "00001.png", "00002.png"]
+    assert (tmp_path / "out" / "00002.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_video_has_every_frame(tmp_path: Path) -> None:
+    cv2 = pytest.importorskip("cv2", reason="no OpenCV")
+    config = recorded(tmp_path / "recording", 2)
+    assert plot.plot_source(config, tmp_path / "out.mp4", frames=10, reach_m=20.0) == 2
+    video = cv2.VideoCapture(str(tmp_path / "out.mp4"))
+    assert int(video.get(cv2.CAP_PROP_FRAME_COUNT)) == 2
+    video.release()
+
+
+def test_a_missing_recording_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="does not exist"):
+        plot.plot_source(InfraLidarConfig(source=f"file:{tmp_path}/none"), tmp_path / "out", 1, 20.0)
