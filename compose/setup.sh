@@ -3,6 +3,8 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 log=.setup.log
+# Trust what this machine trusts (a company's own certificate authority, for example).
+if [ -s /etc/ssl/certs/ca-certificates.crt ]; then export UV_SYSTEM_CERTS="${UV_SYSTEM_CERTS:-1}"; fi
 : >"$log"
 step() {
     printf '  setup: %s ...\n' "$1" >&2
