@@ -6,13 +6,13 @@ from collections import Counter
 from typing import Any
 
 from common.messages import EgoMotion, ServiceStatus
-from common.presence import Instance, claimants
 from common.pubsub import Received
 from common.topics import CAMERA_DETECTIONS, EGO_MOTION, INFRA_TRACKS, LIDAR_ZONES, RADAR_TRACKS, Topic
 from services.jetson.fusion.clocks import ClockWatch, OwnClock
 from services.jetson.fusion.config import FusionConfig, SensorConfig
 from services.jetson.fusion.health import SensorWatch, Surroundings
 from services.jetson.fusion.observation import Observation
+from services.jetson.fusion.roster import Roster
 
 SENSOR_TOPICS: dict[str, Topic] = {
     "lidar": LIDAR_ZONES,
@@ -36,6 +36,7 @@ class Inbox:
             name: SensorWatch(name, sensors[name].host, topic, config.health) for name, topic in SENSOR_TOPICS.items()
         }
         self.clocks = {name: ClockWatch(config.clocks) for name in SENSOR_TOPICS}
+        self.roster = Roster()
         self.statuses: dict[str, Received[ServiceStatus]] = {}
         self.ego: Received[EgoMotion] | None = None
         self.bad_input: Counter[str] = Counter()  # since the start, by key and reason
@@ -55,6 +56,7 @@ class Inbox:
     def sort(self, seen: Observation) -> dict[str, Surroundings]:
         """Take everything in; returns what is known about each sensor besides its data."""
         self._check_own_clock(seen)
+        self.roster.update(seen.present)
         for sample in seen.clock_samples:
             if sample.name in self._by_service:
                 self.clocks[self._by_service[sample.name]].add(sample)
@@ -105,21 +107,17 @@ class Inbox:
 
     def _surroundings(self, name: str, seen: Observation) -> Surroundings:
         watch, clock = self.watches[name], self.clocks[name]
-        instances = instances_of(seen.present, watch.host, watch.service)
+        instances = self.roster.services.get(f"{watch.host}/{watch.service}", ())
         if not instances:
             clock.forget()  # whoever comes next has a clock of its own
         best, undatable = clock.estimate(seen.now_s), bool(self.own_clock_doubt(seen.now_s))
         why, refused_s = self._refused.get(name, ("", seen.now_s))
         return Surroundings(
             instances=instances,
-            host_alive=any(host == watch.host for host, _, _ in seen.present),
+            host_alive=watch.host in self.roster.hosts,
             isolated=seen.isolated,
             status=self.statuses.get(f"{watch.host}/{watch.service}"),
             clock_distrust=clock.distrust(seen.now_s),
             clock_offset_s=best.offset_s if best else None if undatable else 0.0,
             undecodable=f"undecodable: {why}" if why and seen.now_s - refused_s < REFUSED_SHOWN_S else "",
         )
-
-
-def instances_of(present: frozenset[Instance], host: str, service: str) -> tuple[str, ...]:
-    return tuple(sorted(one[2] for one in present if one[0] == host and one[1] == service))

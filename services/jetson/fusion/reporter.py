@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 from common.messages import SensorHealth, ServiceHealth, ServiceState, SystemHealth
 from services.jetson.fusion.bar import bar
 from services.jetson.fusion.config import FusionConfig
@@ -60,7 +58,7 @@ class Reporter:
         notes = [
             *([doubt] if doubt else []),
             *self._waiting(),
-            *self._far_away(seen),
+            *self._far_away(),
             *(f"{name} {text}" for name, text in late.items()),
         ]
         notes += [f"{n}: {s.instances} processes claim this name" for n, s in services.items() if s.instances > 1]
@@ -84,20 +82,20 @@ class Reporter:
         missing = [f"{w.host}/{w.service}" for w in self._inbox.watches.values() if not w.reported]
         return [f"starting, waiting for {', '.join(missing)}"] if missing else []
 
-    def _far_away(self, seen: Observation) -> list[str]:
+    def _far_away(self) -> list[str]:
         """When every other host is gone at once, the first suspect is our own uplink."""
         others = {watch.host for watch in self._inbox.watches.values()} - {self._config.host}
         seen_before = {w.host for w in self._inbox.watches.values() if w.reported and w.host in others}
-        if len(others) < 2 or seen_before != others or others & {host for host, _, _ in seen.present}:
+        if len(others) < 2 or seen_before != others or others & self._inbox.roster.hosts:
             return []
         return ["no other host is reachable: look at this host's own network first"]
 
     def _judge_services(self, seen: Observation) -> dict[str, ServiceHealth]:
-        instances = Counter(f"{host}/{service}" for host, service, _ in seen.present)
+        instances = self._inbox.roster.services
         expected = {f"{watch.host}/{watch.service}" for watch in self._inbox.watches.values()}
         known = expected | set(self._services) | set(instances)
         names = expected | set(sorted(known - expected)[:MAX_NAMES])
-        self._services = {name: self._judge_service(name, instances[name], seen) for name in sorted(names)}
+        self._services = {name: self._judge_service(name, len(instances.get(name, ())), seen) for name in sorted(names)}
         return self._services
 
     def _judge_service(self, name: str, instances: int, seen: Observation) -> ServiceHealth:

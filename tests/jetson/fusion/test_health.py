@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from common.presence import successor
 from services.jetson.fusion.bar import bar
 
 STATE = {"on": "online", "deg": "degraded", "disc": "disconnected"}
@@ -175,6 +176,14 @@ def test_two_claimants_are_named_and_their_alarm_counts(bench: Any) -> None:
     assert bench.is_in("radar", "degraded", "two_claimants")
     assert bench.verdict.level == "CAUTION"
     assert "pi0/radar: 2 processes claim this name" in bench.health.notes
+
+
+def test_an_announced_successor_is_no_second_claimant(bench: Any) -> None:
+    bench.instances.add(("pi0", "radar", successor("second", "radar")))
+    bench.run(0.3)
+    assert bench.is_in("radar", "online")
+    assert bench.health.services["pi0/radar"].instances == 1
+    assert not any("claim" in note for note in bench.health.notes)
 
 
 def test_a_watcher_that_lost_its_own_link_blames_nobody_else(bench: Any) -> None:
