@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.feature_kernels import ALL_NAMES, geometry_features
-from services.infra_lidar.feature_neighbours import hull_point_ratio, neighbour_features
+from services.infra_lidar.feature_neighbours import neighbour_features
+from services.infra_lidar.feature_pieces import hull_point_ratio, piece_features
 
 _BOX = (
     "xy_spread", "xy_area", "z_range", "height_to_footprint", "density", "z_25", "z_75", "z_std", "num_points",
@@ -52,7 +53,7 @@ FEATURE_SETS: dict[str, tuple[str, ...]] = {
 """By name. ``spotter`` is the default; ``shape`` is the same without what needs the distance to the sensor, for
 clusters that were centred when they were stored."""
 
-_NEIGHBOUR_NAMES = ("nn_dist_std", "n_components", "largest_component_ratio")
+_PIECE_NAMES = ("n_components", "largest_component_ratio")
 
 
 def compute_features(
@@ -77,10 +78,12 @@ def compute_features(
     _check(points, offsets, ground, names)
     table = geometry_features(points, offsets, ground)
     columns = np.array([ALL_NAMES.index(name) for name in names])
-    if any(name in names for name in _NEIGHBOUR_NAMES):
-        with_components = "n_components" in names or "largest_component_ratio" in names
-        first = ALL_NAMES.index("nn_dist_std")
-        table[:, first : first + 3] = neighbour_features(points, offsets, with_components)
+    with_pieces = any(name in names for name in _PIECE_NAMES)
+    if with_pieces or "nn_dist_std" in names:
+        table[:, ALL_NAMES.index("nn_dist_std")], spacing_m = neighbour_features(points, offsets)
+        if with_pieces:
+            first = ALL_NAMES.index(_PIECE_NAMES[0])
+            table[:, first : first + 2] = piece_features(points, offsets, spacing_m)
     if "hull_point_ratio" in names:
         table[:, ALL_NAMES.index("hull_point_ratio")] = hull_point_ratio(points, offsets)
     return table[:, columns]

@@ -162,3 +162,19 @@ def test_what_does_not_fit_is_refused(
 
 def test_no_cluster_is_no_row() -> None:
     assert compute_features(np.empty((0, 3)), np.zeros(1), np.empty(0), FEATURE_SETS["35"]).shape == (0, 35)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 10_000), n=st.integers(7, 400), size=st.tuples(*[st.sampled_from([0.0, 0.01, 0.5, 12.0])] * 3)
+)
+def test_neighbours_are_exact_in_every_shape(seed: int, n: int, size: tuple[float, float, float]) -> None:
+    """Lines, plates, lumps with far outliers, doubled points: always the same as all pairs."""
+    rng = np.random.default_rng(seed)
+    points = (rng.uniform(0, 1, (n, 3)) ** rng.choice([1, 4]) * size).astype(np.float32)
+    points[: n // 5] = points[n // 2]
+    distance = np.sort(cdist(points.astype(float), points.astype(float)), axis=1)
+    expected = distance[:, 1:6].mean(axis=1).std()
+    flat, offsets = stacked([points])
+    got = compute_features(flat, offsets, np.zeros(1), ("nn_dist_std",))[0, 0]
+    assert got == pytest.approx(expected, rel=1e-3, abs=1e-5)
