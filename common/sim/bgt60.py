@@ -27,6 +27,7 @@ MID_SCALE, FULL_SCALE = 2048, 4095
 NOISE_LSB = 6.0
 _FIELD_OF_VIEW_RAD = np.radians(75.0)
 _WITHIN_M = 12.0
+_FOOTPRINT = 0.4  # side of the patch that reflects, per metre of range: what is larger and near acts as a mirror
 # Peak amplitude in ADC steps of a square metre of surface at 1 m, by solids.PARTS.
 _ECHO_LSB = np.array([250.0, 120.0, 60.0, 700.0, 550.0, 150.0, 500.0, 700.0, 200.0, 60.0, 300.0])
 
@@ -113,9 +114,10 @@ def echoes(solids: Solids, T_map_radar: np.ndarray) -> np.ndarray:
     velocity = np.sum(solids.velocity_mps @ T_map_radar[:3, :3] * point, axis=1) / range_m
     azimuth, elevation = np.arctan2(point[:, 1], point[:, 0]), np.arcsin(point[:, 2] / range_m)
     half = np.sort(np.sqrt(np.sum(solids.from_unit**2, axis=1)), axis=1)
-    area_m2 = np.minimum(4.0 * half[:, 1] * half[:, 2], 1.0)  # a flat wall reflects from one Fresnel zone only
+    side_m = np.minimum(2.0 * np.sqrt(half[:, 1] * half[:, 2]), 1.0)  # a flat wall reflects from one Fresnel zone only
+    side_m = np.minimum(side_m, _FOOTPRINT * range_m)  # so near echoes grow with 1 / range, not with 1 / range^2
     pattern = np.cos(azimuth) ** 2 * np.cos(elevation) ** 2
-    amplitude = _ECHO_LSB[solids.part] * np.sqrt(area_m2) * pattern
+    amplitude = _ECHO_LSB[solids.part] * side_m * pattern
     return np.column_stack([range_m, velocity, azimuth, elevation, amplitude])
 
 

@@ -54,7 +54,7 @@ def person_errand() -> Errand:
 def car_errand() -> Errand:
     """The small car drives in through the gate, stops in front of the vehicle and backs out again."""
     half = 0.5 * SMALL_CAR_SIZE_M[0]
-    outside, inside = (6.4 + half, 0.0), (0.70 + half, 0.0)
+    outside, inside = (6.4 + half, 0.0), (0.74 + half, 0.0)
     come = Ride(line(outside, inside), start_s=7.3, speed_mps=1.5, accel_mps2=1.5)
     out = Ride(line(inside, outside), come.start_s + come.duration_s + 0.8, 1.6, 1.2, backwards=True)
     return Errand((come, out), LENGTH_S)

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.sim.bgt60 import C_MPS, MID_SCALE, RX_SPACING_M, Target, Waveform, frame, scatterers, simulate
+from common.sim.bgt60 import C_MPS, MID_SCALE, RX_SPACING_M, Target, Waveform, echoes, frame, scatterers, simulate
 from common.sim.model import DeviceUnplugged
+from common.sim.solids import box
 from common.sim.world import world_at
 
 WAVE = Waveform()
@@ -148,3 +149,19 @@ def test_faults():
     with pytest.raises(DeviceUnplugged):
         frame("faults", 50.0)
     assert frame("faults", 46.0).any()
+
+
+def test_a_large_plate_echoes_as_a_mirror_when_near():
+    """Twice as far, half the echo: what fills the beam reflects with 1 / range (a point: 1 / range^2)."""
+    strength = {}
+    for range_m in (0.5, 1.0):
+        plate = box((range_m, range_m + 0.1), (-1.0, 1.0), (-1.0, 1.0), "car", "paint")
+        strength[range_m] = float(echoes(plate, np.eye(4))[0, 4]) / range_m**2
+    assert strength[0.5] / strength[1.0] == pytest.approx(2.0)
+
+
+def test_nothing_in_the_demonstration_saturates_the_converter():
+    """Neither the person nor the car at arm's length: they are near, not out of the radar's reach."""
+    for t_s in np.arange(0.0, 15.0, 0.2):
+        samples = frame("crossing", float(t_s))
+        assert 0 < samples.min() < samples.max() < 4095, f"at {t_s:.1f} s"
