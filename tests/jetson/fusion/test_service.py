@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+import zenoh
 
 from common import topics
 from common.clock import utc_ns
@@ -16,7 +17,7 @@ from common.messages import SystemHealth, Verdict
 from common.presence import Presence
 from common.pubsub import Latest
 from common.runtime import Service
-from common.session import open_session
+from common.session import build, open_session
 from common.status import Report
 from services.jetson.fusion.config import FusionConfig
 from services.jetson.fusion.inbox import SENSOR_TOPICS
@@ -165,3 +166,45 @@ def test_a_sensor_that_comes_back_is_online_again(
     presence = Presence(laptop.session)
     laptop.until(lambda: presence.instances("jetson0", "lidar"))
     presence.close()
+
+
+def test_fusion_without_a_router_says_that_it_is_isolated_and_comes_back(free_ports: Callable[[], int]) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_ports()}"
+    router_config = build(ZenohConfig(mode="router", connect=(), listen=(endpoint,), namespace=""))
+    config = FusionConfig(zenoh=ZenohConfig(connect=(endpoint,)))
+    told: list[SystemHealth] = []
+    changed, stop = threading.Event(), threading.Event()
+
+    def run() -> None:
+        pipeline = FusionPipeline(config)
+        with Service("fusion", config) as service:
+            for observation in observe(service, config):
+                if stop.is_set():
+                    return
+                _, health = pipeline.process(observation)
+                if health is not None:
+                    told.append(health)
+                    changed.set()
+
+    def until(isolated: bool) -> None:
+        deadline_s = time.monotonic() + BUDGET_S
+        while not told or told[-1].summary.startswith("I AM ISOLATED") != isolated:
+            assert time.monotonic() < deadline_s
+            changed.wait(0.1)
+            changed.clear()
+
+    router = zenoh.open(router_config)
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        until(isolated=False)
+        router.close()
+        until(isolated=True)
+        assert {sensor.cause for sensor in told[-1].sensors.values()} == {"isolated"}
+        router = zenoh.open(router_config)
+        until(isolated=False)
+    finally:
+        stop.set()
+        thread.join(BUDGET_S)
+        router.close()
+    assert not thread.is_alive()
