@@ -1,0 +1,43 @@
+"""How far a long command is: one line on a terminal that overwrites itself, nothing into a file or a pipe."""
+
+from __future__ import annotations
+
+import sys
+from typing import TextIO
+
+from common.clock import monotonic_s
+
+PERIOD_S = 0.2
+
+
+class Progress:
+    """``tell`` may be called as often as one likes."""
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self._stream = stream or sys.stderr
+        self._shown = self._stream.isatty()
+        self._next_s = 0.0
+        self._width = 0
+
+    def tell(self, text: str) -> None:
+        if not self._shown or (now_s := monotonic_s()) < self._next_s:
+            return
+        self._next_s = now_s + PERIOD_S
+        self._write(text)
+
+    def share(self, done: float, of: float) -> None:
+        """A bar for work whose size is known."""
+        part = min(max(done / of, 0.0), 1.0) if of > 0 else 1.0
+        self.tell(f"[{'#' * round(30 * part):<30}] {part:4.0%}")
+
+    def close(self) -> None:
+        """Wipe the line."""
+        if self._width:
+            self._write("")
+            self._stream.write("\r")
+            self._stream.flush()
+
+    def _write(self, text: str) -> None:
+        self._stream.write("\r  " + text.ljust(self._width))
+        self._stream.flush()
+        self._width = max(self._width, len(text))

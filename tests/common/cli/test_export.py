@@ -1,0 +1,101 @@
+"""Tables out of recordings: every row there, every column of its own type, nothing overwritten by accident."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from common.cli.__main__ import app
+from common.cli.tables import COLUMNS, HEADER, columns
+
+runner = CliRunner()
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_one_row_per_verdict_track_and_zone(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "all.csv"
+    result = runner.invoke(app, ["export", str(recording), str(out), "--json"])
+    assert result.exit_code == 0, result.output
+    expected = {"verdicts": 60, "radar": 60, "objects": 60, "zones": 180, "camera": 60}
+    assert json.loads(result.stdout) == {"file": str(out), "rows": expected}
+    rows = table(out)
+    assert Counter(row["table"] for row in rows) == expected
+    assert list(rows[0]) == columns(tuple(COLUMNS))
+
+
+def test_the_values_are_those_of_the_messages(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "all.csv"
+    runner.invoke(app, ["export", str(recording), str(out)])
+    first = {name: next(row for row in table(out) if row["table"] == name) for name in COLUMNS}
+    assert first["verdicts"]["because"] == "lidar SAFE at 0.61 m"
+    assert (first["verdicts"]["lidar_state"], first["verdicts"]["lidar_age_ms"]) == ("online", "12.5")
+    assert first["verdicts"]["radar_state"] == ""
+    assert float(first["radar"]["range_m"]) == 9.0
+    assert float(first["objects"]["speed_mps"]) == pytest.approx(5.0)
+    assert (first["camera"]["label"], first["camera"]["bottom_px"]) == ("person", "90.0")
+    nearest = {row["zone"]: row["nearest_m"] for row in table(out) if row["table"] == "zones"}
+    assert nearest == {"left": "", "centre": "0.61", "right": ""}
+    times_s = [float(row["time_s"]) for row in table(out)]
+    assert (min(times_s), max(times_s)) == (0.0, 5.9)
+
+
+def test_one_table_has_only_its_own_columns(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "radar.csv"
+    runner.invoke(app, ["export", str(recording), str(out), "--table", "radar"])
+    assert list(table(out)[0]) == [*HEADER, *COLUMNS["radar"]]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["missing.mcap", "out.csv"], "no such file"),
+        (["IT", "out.xlsx"], "ends with .csv or .parquet"),
+        (["IT", "out.csv", "--table", "tracks"], "no such table; known: verdicts"),
+        (["IT", "taken.csv"], "--force"),
+    ],
+)
+def test_what_cannot_be_done_is_said(
+    recording: Path, tmp_path: Path, arguments: list[str], complaint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken.csv").write_text("precious")
+    result = runner.invoke(app, ["export", *(str(recording) if text == "IT" else text for text in arguments)])
+    assert result.exit_code == 2
+    assert complaint in result.output
+    assert (tmp_path / "taken.csv").read_text() == "precious"
+
+
+def test_a_damaged_recording_is_refused(recording: Path, tmp_path: Path) -> None:
+    damaged = bytearray(recording.read_bytes())
+    damaged[len(damaged) // 4] ^= 0xFF
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(bytes(damaged))
+    result = runner.invoke(app, ["export", str(path), str(tmp_path / "out.csv")])
+    assert result.exit_code == 1
+    assert "damaged" in result.output
+
+
+def test_parquet_has_types_or_says_what_is_missing(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "all.parquet"
+    result = runner.invoke(app, ["export", str(recording), str(out)])
+    if importlib.util.find_spec("pyarrow") is None:
+        assert result.exit_code == 1
+        assert "uv pip install pyarrow" in result.output
+        assert not out.exists()
+        return
+    assert result.exit_code == 0, result.output
+    parquet = pytest.importorskip("pyarrow.parquet")
+    rows = parquet.read_table(out).to_pylist()
+    assert len(rows) == 420
+    radar = next(row for row in rows if row["table"] == "radar")
+    assert (radar["track_id"], radar["range_m"], radar["approaching"], radar["because"]) == (1, 9.0, True, None)
