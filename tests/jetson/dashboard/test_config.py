@@ -1,0 +1,45 @@
+"""The shipped file is the documentation of the defaults."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from common.config import ConfigError, default_text, load
+from services.jetson.dashboard import config as dashboard_config
+from services.jetson.dashboard.config import DashboardConfig
+
+FILE = Path(dashboard_config.__file__).parent / "dashboard.toml"
+
+
+def keys(table: dict[str, object], prefix: str = "") -> set[str]:
+    found: set[str] = set()
+    for key, value in table.items():
+        found |= keys(value, f"{prefix}{key}.") if isinstance(value, dict) and value else {prefix + key}
+    return found
+
+
+def test_the_file_loads_and_equals_the_defaults() -> None:
+    assert load(DashboardConfig, FILE) == DashboardConfig()
+
+
+def test_the_file_lists_every_key() -> None:
+    assert keys(tomllib.loads(FILE.read_text())) == keys(default_text(DashboardConfig))
+
+
+@pytest.mark.parametrize(
+    ("setting", "complaint"),
+    [
+        ("server.port=70000", "port"),
+        ("server.max_clients=0", "max_clients"),
+        ("server.max_rate_hz=1000", "max_rate_hz"),
+        ("server.adress=0.0.0.0", "did you mean 'address'"),
+        ("server.address=0.0.0.0", "token"),
+        ("host=Jetson 0", "host"),
+    ],
+)
+def test_a_wrong_value_is_refused_by_name(setting: str, complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        load(DashboardConfig, None, [setting])
