@@ -8,7 +8,7 @@ only a short cut for returns: those it knows need no ground, no cluster and no c
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,7 +23,8 @@ MAX_RINGS = 128
 class BackgroundModel:
     """What is kept on disk: squared bounds (cells, 4) float32, road (cells,) uint8, the grid and how much it explains.
 
-    surface: (cells of the polar grid, 3) float32, the road at the time.
+    surface: (cells of the polar grid, 3) float32, the road at the time. structure: (2, side, side) bool, see
+    ``structure.py``; empty until it is drawn.
     """
 
     bounds: np.ndarray
@@ -32,6 +33,7 @@ class BackgroundModel:
     rows: int
     known_share: float
     surface: np.ndarray
+    structure: np.ndarray = field(default_factory=lambda: np.zeros((2, 0, 0), bool))
 
 
 @dataclass(frozen=True)

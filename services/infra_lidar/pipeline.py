@@ -18,7 +18,7 @@ from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.features import compute_features
 from services.infra_lidar.result import ClusterSet, FrameResult
-from services.infra_lidar.scene import Scene
+from services.infra_lidar.scene import Parted, Scene
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
 
 SURE = 0.7  # a cluster of this confidence is kept out of the background
@@ -78,7 +78,7 @@ class InfraLidarPipeline:
         watch.lap("cluster")
 
         # 4. What is it? Features and forest.
-        clusters = self._classify(found)
+        clusters = self._classify(parted, found)
         watch.lap("classify")
 
         # 5. Who is it, and where does it go? In the map frame.
@@ -107,10 +107,11 @@ class InfraLidarPipeline:
             T_map_level=T_map_level, stage_ms=watch.stage_ms,
         )  # fmt: skip
 
-    def _classify(self, found: ClusterPoints) -> ClusterSet:
+    def _classify(self, parted: Parted, found: ClusterPoints) -> ClusterSet:
         road_z_m = self.scene.ground.road_height(found.box[:, 0], found.box[:, 1])
         features = compute_features(found.points, found.offsets, road_z_m, self.classifier.feature_names)
         index, confidence, probabilities = self.classifier.classify(features)
+        index[self.scene.structural(parted, found, road_z_m)] = BACKGROUND
         return ClusterSet(
             labels=[LABELS[i] for i in index], confidences=confidence, probabilities=probabilities,
             boxes=found.box[:, :7], features=features, counts=found.counts, ground_z_m=road_z_m,

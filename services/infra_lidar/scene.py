@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,9 +11,11 @@ from services.infra_lidar.blindness import Returns
 from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.calibration import Calibration
 from services.infra_lidar.calibration_keeper import CalibrationKeeper
+from services.infra_lidar.clustering import ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.ground import Ground, Levelled
 from services.infra_lidar.kernels_ground import beams_seen
+from services.infra_lidar.structure import StructureMap
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class Scene:
         self._keeper = keeper
         self.ground = Ground(config.ground, buffers, config.blindness.near_m)
         self.background = Background(config.background, buffers, stored)
+        self._structure = StructureMap(config.clustering, config.ground.range_max_m)
         self._beams = np.zeros(256, bool)
         self._beam_count, self._sector_count = 0, 0
 
@@ -73,7 +76,18 @@ class Scene:
         if self.background.model is not None:
             return False
         self.background.learn(stamp_ns, points, parted.ground, road_user, self.ground.surface)
-        return self.background.model is not None
+        if self.background.model is None:
+            return False
+        drawn = self._structure.draw(parted.frame, road_user)
+        self.background.model = replace(self.background.model, structure=drawn)
+        return True
+
+    def structural(self, parted: Parted, found: ClusterPoints, ground_z_m: np.ndarray) -> np.ndarray:
+        """(K,) bool: clusters of a sifted frame that lie within fixed structure; none of a whole frame do."""
+        model = self.background.model
+        if parted.source is None or model is None or not model.structure.size:
+            return np.zeros(len(found), bool)
+        return self._structure.inside(model.structure, found, ground_z_m)
 
     def restart(self) -> None:
         """Forget the background: the sensor has been moved or turned."""

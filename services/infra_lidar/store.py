@@ -87,7 +87,7 @@ def read_background(path: Path) -> BackgroundModel:
     with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
         model = BackgroundModel(
             bounds=file["bounds"], road=file["road"], columns=int(file["columns"]), rows=int(file["rows"]),
-            known_share=float(file["known_share"]), surface=file["surface"],
+            known_share=float(file["known_share"]), surface=file["surface"], structure=file["structure"],
         )  # fmt: skip
     cells = model.columns * model.rows
     if model.bounds.shape != (cells, 4) or model.road.shape != (cells,):
