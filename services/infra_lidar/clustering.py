@@ -64,6 +64,7 @@ class _Grouped:
     points: _Points
     offsets: np.ndarray
     box: np.ndarray
+    side: int  # which of the two sets of buffers holds the points
 
 
 class Clustering:
@@ -95,7 +96,7 @@ class Clustering:
         if config.body_height_m > 0:
             self._join_high(label, above, low, components)
             components = self._label_high(x, y, label, low, components)
-        found = self._arrange(label, components, _Points(x, y, z, above, source), "a", self._fewest_points)
+        found = self._arrange(label, components, _Points(x, y, z, above, source), 0, self._fewest_points)
         if config.merge == "fragments":
             found = self._join(found)
         found = self._filter(found)
@@ -154,7 +155,7 @@ class Clustering:
         """Components with fewer points need no look: they are neither clusters nor pieces of one."""
         return MIN_FRAGMENT_POINTS if self._config.merge == "fragments" else self._config.min_points
 
-    def _arrange(self, label: np.ndarray, components: int, points: _Points, into: str, fewest: int = 1) -> _Grouped:
+    def _arrange(self, label: np.ndarray, components: int, points: _Points, side: int, fewest: int = 1) -> _Grouped:
         """Points by label, those of labels with ``fewest`` points or more, as copies that lie together."""
         counts = self._buffers.take("counts", components, np.int32)
         clusters.count_labels(label, counts)
@@ -162,28 +163,28 @@ class Clustering:
         number = np.where(keep, np.cumsum(keep) - 1, -1).astype(np.int32)
         offsets = np.concatenate([[0], np.cumsum(counts[keep], dtype=np.int64)])
         total, take = int(offsets[-1]), self._buffers.take
-        axes = [take(f"{into}_{name}", total, np.float32) for name in ("x", "y", "z", "above")]
-        there = _Points(axes[0], axes[1], axes[2], axes[3], take(f"{into}_source", total, np.int32))
+        axes = [take(f"side{side}_{name}", total, np.float32) for name in ("x", "y", "z", "above")]
+        there = _Points(axes[0], axes[1], axes[2], axes[3], take(f"side{side}_source", total, np.int32))
         clusters.arrange(
             label, number, offsets, points.x, points.y, points.z, points.above, points.source,
             there.x, there.y, there.z, there.above, there.source,
         )  # fmt: skip
-        return _Grouped(there, offsets, _measured(there, offsets))
+        return _Grouped(there, offsets, _measured(there, offsets), side)
 
-    def _regroup(self, found: _Grouped, group: np.ndarray, into: str) -> _Grouped:
+    def _regroup(self, found: _Grouped, group: np.ndarray) -> _Grouped:
         """Clusters with the same ``group`` become one; those of group -1 go. Untouched when nothing changes."""
         if len(group) == 0 or np.array_equal(group, np.arange(len(group))):
             return found
         used, number = np.unique(group, return_inverse=True)
         number = number.astype(np.int32) - (used[0] < 0)
         label = np.repeat(number, np.diff(found.offsets))
-        return self._arrange(label, len(used) - int(used[0] < 0), found.points, into)
+        return self._arrange(label, len(used) - int(used[0] < 0), found.points, 1 - found.side)
 
     def _join(self, found: _Grouped) -> _Grouped:
         """Join fragments of vehicles."""
         group = np.empty(len(found.box), np.int32)
         merging.merge_fragments(found.box, np.diff(found.offsets), MIN_FRAGMENT_POINTS, group)
-        return self._regroup(found, group, "b")
+        return self._regroup(found, group)
 
     def _filter(self, found: _Grouped) -> _Grouped:
         """Drop clusters of impossible size."""
@@ -192,7 +193,7 @@ class Clustering:
         good &= box[:, 5] <= config.max_height_m
         good &= box[:, 7] + box[:, 5] >= config.min_top_m
         good &= np.hypot(box[:, 3], box[:, 4]) <= config.max_diagonal_m
-        return self._regroup(found, np.where(good, np.arange(len(good)), -1), "c")
+        return self._regroup(found, np.where(good, np.arange(len(good)), -1))
 
     def _second_look(self, found: _Grouped) -> _Grouped:
         """The article's trim, split and merge."""
@@ -203,12 +204,12 @@ class Clustering:
             splitting.trim_feet(p.z, found.box, found.offsets, label)
         if config.split == "gap":
             count = splitting.split_rows(p.x, p.y, p.z, found.offsets, label)
-        found = self._arrange(label, count, p, "d")
+        found = self._arrange(label, count, p, 1 - found.side)
         if config.merge != "engulfed":
             return found
         group = np.empty(len(found.box), np.int32)
         splitting.join_engulfed(found.points.x, found.points.y, found.points.z, found.offsets, group)
-        return self._regroup(found, group, "e")
+        return self._regroup(found, group)
 
     def _result(self, frame: Levelled, found: _Grouped) -> ClusterPoints:
         cluster_id = self._buffers.take("cluster_id", len(frame.x), np.int32)
