@@ -34,7 +34,8 @@ class Fault(Section, frozen=True, kw_only=True):
 
     ``kill``, ``freeze``: SIGKILL, SIGSTOP. ``cut``: the link between service and router carries nothing any more.
     ``clock``: the process restarts with its clock off by ``seconds``. ``sim``: the simulated world's own fault at
-    scenario time ``at_s``. All others: a stand-in takes the service's place and spoils what it publishes.
+    scenario time ``at_s``, whose moment is known within about half a second. All others: a stand-in takes the service's
+    place and spoils what it publishes.
     """
 
     kind: Kind
