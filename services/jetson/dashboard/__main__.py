@@ -41,7 +41,7 @@ class Server(uvicorn.Server):
 
 def run(config: DashboardConfig) -> bool:
     board = Board()
-    with Service("dashboard", config) as service, BoardSource(service, board) as source:
+    with Service("dashboard", config) as service, BoardSource(service, board, config.fusion_host) as source:
         app = DashboardServer(config, board, source).app()
         settings = uvicorn.Config(
             app,

@@ -8,7 +8,7 @@ from types import TracebackType
 from common.messages import Message
 from common.pubsub import Latest
 from common.runtime import Service
-from common.topics import DATA_TOPICS, SERVICES, Topic, status_topic
+from common.topics import DATA_TOPICS, Topic, status_topic
 from services.jetson.dashboard.board import Board
 
 WAIT_S = 0.5
@@ -17,14 +17,15 @@ WAIT_S = 0.5
 class BoardSource:
     """Feeds a board from Zenoh in a thread of its own. Use it in a ``with`` statement."""
 
-    def __init__(self, service: Service, board: Board) -> None:
+    def __init__(self, service: Service, board: Board, fusion_host: str) -> None:
         self._service = service
         self._board = board
+        self._fusion_host = fusion_host
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._viewers: dict[str, int] = {}
         self._inboxes: dict[str, Latest[Message]] = {}
-        for topic in (*DATA_TOPICS, *(status_topic(row.name) for row in SERVICES)):
+        for topic in (*DATA_TOPICS, status_topic("*")):
             if not topic.on_demand:
                 self._inboxes[topic.name] = self._subscribe(topic)
         self._thread = threading.Thread(target=self._feed, name="board", daemon=True)
@@ -54,7 +55,7 @@ class BoardSource:
                 self._inboxes.pop(product).close()
 
     def _subscribe(self, topic: Topic) -> Latest[Message]:
-        return self._service.latest(topic, topic.message, "*")
+        return self._service.latest(topic, topic.message, self._fusion_host if topic.service == "fusion" else "*")
 
     def _feed(self) -> None:
         while not self._stop.is_set():

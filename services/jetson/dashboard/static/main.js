@@ -1,6 +1,6 @@
 // One socket, one state, one draw per period. Everything drawn carries its age; what is too old is drawn as stale.
 import { connect, newest, silentMs, state } from "/static/store.js";
-import { drawVerdict, drawHealth, drawSensors, drawServices, drawHistory, drawLatency } from "/static/words.js";
+import { drawVerdict, drawHealth, drawSensors, drawServices, drawHistory, drawLatency, drawRecording } from "/static/words.js";
 import { drawTimeline } from "/static/timeline.js";
 import { drawAhead } from "/static/ahead.js";
 import { drawRadar } from "/static/radar.js";
@@ -10,7 +10,7 @@ import { soundFor } from "/static/sound.js";
 
 const CUT_AFTER_MS = 1000;
 const PRODUCTS = ["radar/tracks", "lidar/scan", "lidar/zones", "camera/detections", "camera/image", "infra_lidar/tracks",
-  "fusion/verdict", "fusion/health", "ego/motion", "recorder/status"];
+  "fusion/verdict", "fusion/health", "ego/motion"];
 const rate = document.getElementById("rate");
 
 const tell = connect(() => ({
@@ -46,6 +46,7 @@ function draw() {
   drawSensors(health, verdict);
   drawLatency(health, verdict);
   drawServices(state.entries, silentMs());
+  drawRecording(state.entries, silentMs());
   drawHistory(state.verdicts, state.healths);
   drawTimeline(state.verdicts, level);
   drawAhead(newest("lidar/scan"), zones, radar);

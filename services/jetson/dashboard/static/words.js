@@ -89,6 +89,16 @@ export function drawServices(entries, extraMs) {
   }));
 }
 
+// What is kept of what happens: the blackboxes, by their own status.
+export function drawRecording(entries, extraMs) {
+  const boxes = Object.entries(entries).filter(([key, entry]) => key.endsWith("/blackbox/status") && entry.age_ms + extraMs < 3500);
+  const words = boxes.map(([key, { message }]) => {
+    const kept = message.counters.incidents ?? 0;
+    return `${key.split("/")[0]} (${kept} incident${kept === 1 ? "" : "s"} since its start)`;
+  });
+  setText(byId("recording"), words.length ? `Blackbox on ${words.join(", ")}` : "Nothing is kept: no blackbox runs");
+}
+
 export function drawLatency(health, verdict) {
   const ms = (value) => [value === undefined ? "" : `${value.toFixed(1)} ms`, "num"];
   fill(byId("latency"), Object.entries(verdict ? verdict.message.inputs : {}).filter(([, input]) => Object.keys(input.stage_ms ?? {}).length)
