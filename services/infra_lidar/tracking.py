@@ -154,8 +154,9 @@ class MultiObjectTracker:
         c = self._config
         unseen_ns = self._stamp_ns - self._tracks["seen_ns"]
         known_ns = self._tracks["seen_ns"] - self._tracks["born_ns"]
-        coast_ns = np.minimum(round(c.coast_s * 1e9), known_ns)  # nobody waits for long for what was seen for a moment
-        allowed_ns = np.where(self._tracks["confirmed"], coast_ns, round(c.tentative_gap_s * 1e9))
+        # Nobody waits for long for what was seen for a moment only.
+        gap_ns, coast_ns = round(c.tentative_gap_s * 1e9), np.minimum(round(c.coast_s * 1e9), known_ns)
+        allowed_ns = np.where(self._tracks["confirmed"], np.maximum(coast_ns, gap_ns), gap_ns)
         if np.any(unseen_ns > allowed_ns):
             self._tracks = self._tracks[unseen_ns <= allowed_ns]
 
