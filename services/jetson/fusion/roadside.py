@@ -72,8 +72,8 @@ def relative_motion(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities (N, 2) in the vehicle's frame, as the moving, turning vehicle sees them."""
     T_vehicle_map = invert(T_map_vehicle)
-    position = position_m @ T_vehicle_map[:3, :3].T + T_vehicle_map[:3, 3]
-    velocity = velocity_mps @ T_vehicle_map[:3, :3].T
+    rotation, origin_m = T_vehicle_map[:3, :3], T_vehicle_map[:3, 3]
+    position, velocity = position_m @ rotation.T + origin_m, velocity_mps @ rotation.T
     turning = yaw_rate_radps * np.column_stack([-position[:, 1], position[:, 0]])
     return position[:, :2], velocity[:, :2] - np.array([speed_mps, 0.0]) - turning
 

@@ -80,6 +80,8 @@ def test_the_limits_are_inclusive() -> None:
     low, high = np.array([[-1.0, -1.0]]), np.array([[1.0, 1.0]])
     for edge in (1.0, -1.0):
         assert time_to_enter(np.array([[5.0, edge]]), np.array([[-1.0, 0.0]]), low, high).tolist() == [4.0]
+    assert time_to_enter(np.array([[1.0, 0.0]]), np.array([[1.0, 0.0]]), low, high).tolist() == [0.0], "leaves now"
+    assert time_to_enter(np.array([[-2.0, 0.0]]), np.array([[1.0, 1.0]]), low, high).tolist() == [1.0], "a corner"
     assert threat(track(1.4, 0.0, -0.5, 0.0), min_speed_mps=0.5) is not None, "just fast enough"
     assert threat(track(1.4, 0.0, -0.49, 0.0), min_speed_mps=0.5) is None
     for sigma_m, found in ((2.0, True), (2.1, False)):
@@ -94,8 +96,9 @@ def test_only_what_comes_nearer_counts_even_beside_us(vx_mps: float, found: bool
 
 def test_the_explanation_is_rounded_for_people() -> None:
     covariance = (np.eye(6) * 0.05).tolist()
-    found = threat(track(10.0, 0.0, -3.3, 0.0, covariance=covariance))
+    found = threat(track(10.004, 0.0, -3.304, 0.0, covariance=covariance))
     assert found is not None
+    assert (found.deciding["position_m"], found.deciding["velocity_mps"]) == ([10.0, 0.0], [-3.3, 0.0])
     assert (found.deciding["ttc_s"], found.deciding["sigma_m"]) == (2.73, 0.22)
 
 
@@ -145,9 +148,22 @@ def test_uncertainty_grows_with_age_and_widens_the_outline() -> None:
 
 
 def test_a_turning_vehicle_sees_the_world_turn() -> None:
-    position, velocity = relative_motion(np.array([[5.0, 0.0, 0.0]]), np.zeros((1, 3)), HERE, 1.0, 0.2)
-    assert position.tolist() == [[5.0, 0.0]]
-    assert velocity[0] == pytest.approx([-1.0, -1.0])
+    position, velocity = relative_motion(np.array([[5.0, 2.0, 7.0]]), np.zeros((1, 3)), HERE, 1.0, 0.2)
+    assert position.tolist() == [[5.0, 2.0]]
+    assert velocity[0] == pytest.approx([-0.6, -1.0])
+
+
+def test_the_longer_side_and_the_larger_uncertainty_count() -> None:
+    for size_m in ((1.0, 3.0, 9.0), (3.0, 1.0, 9.0)):
+        assert tabulate([track(0.0, 0.0, 0.0, 0.0, size_m=size_m)]).radius_m.tolist() == [1.5]
+    covariance = np.diag([0.01, 0.09, 25.0, 1.0, 1.0, 1.0]).tolist()
+    _, sigma_m = compensate(tabulate([track(0.0, 0.0, 0.0, 0.0, covariance=covariance)]), 0.0, 0.0)
+    assert sigma_m[0] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("at", [(0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5)])
+def test_the_edge_of_the_outline_is_still_the_vehicle_itself(at: tuple[float, float]) -> None:
+    assert threat(track(*at, -2.0 * at[0], -2.0 * at[1])) is None
 
 
 MILLIMETRES = st.integers(-20_000, 20_000).map(lambda value: value / 1000)
