@@ -23,5 +23,8 @@ PY
     || step "installing uv $UV_VERSION" .venv/bin/python -m pip install --quiet "uv==$UV_VERSION"
 step "installing spotter[$EXTRAS] (about a minute the first time)" \
     .venv/bin/uv pip install --python .venv/bin/python -c constraints.txt -e ".[$EXTRAS]"
+case ",$EXTRAS," in *,all,* | *,infra-lidar,*)
+    step "compiling the lidar's kernels for this processor (once)" .venv/bin/python -m compose.compile_kernels ;;
+esac
 touch .venv/.ready
 printf '  setup: ready\n' >&2
