@@ -17,6 +17,8 @@ class Watchdog:
         self._address = os.environ.get("NOTIFY_SOCKET", "")
         folder = os.environ.get("SPOTTER_ALIVE", "")
         self._file = Path(folder, name) if folder else None
+        if self._file is not None:
+            self._file.parent.mkdir(parents=True, exist_ok=True)
         self._ready = False
 
     @property
