@@ -74,16 +74,12 @@ class Site(Section, frozen=True, kw_only=True):
                     service_row(service)
                 except KeyError as error:
                     raise ValueError(f"[hosts.{name}.services.{service}]: {error.args[0]}") from None
-            for key, port in (("port", host.port), ("local_port", host.local_port), ("bulk_port", host.bulk_port)):
-                address = "127.0.0.1" if key == "local_port" else host.address
-                taken = places.setdefault((address, port), f"[hosts.{name}] {key}") if port else ""
-                loopback_of_two = key == "local_port" and not self._on_this_machine_too(name)
-                if taken and taken != f"[hosts.{name}] {key}" and not loopback_of_two:
-                    raise ValueError(f"[hosts.{name}] {key} = {port}: already used by {taken} on {address}")
-
-    def _on_this_machine_too(self, name: str) -> bool:
-        """Another host has the same address, so they share one loopback."""
-        return sum(host.address == self.hosts[name].address for host in self.hosts.values()) > 1
+            loopback = host.address if host.address == "127.0.0.1" else f"loopback of {host.address}"
+            for key, address in (("port", host.address), ("bulk_port", host.address), ("local_port", loopback)):
+                port, where = getattr(host, key), f"[hosts.{name}] {key}"
+                taken = places.setdefault((address, port), where) if port else where
+                if taken != where:
+                    raise ValueError(f"{where} = {port}: already used by {taken} on {address}")
 
     def host(self, name: str) -> HostConfig:
         """Raises ``ConfigError`` with the known names."""

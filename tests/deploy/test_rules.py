@@ -1,0 +1,85 @@
+"""The access rules as data: what each kind of neighbour may say, made from site and topics table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from common.config import ConfigError, ZenohConfig
+from common.security.names import Name, Names
+from common.security.router import router_config, with_certificate
+from common.security.rules import access_rules, spoken_keys
+from common.session import build, nested_settings
+from common.site import HostConfig, Site, TlsConfig
+from common.topics import DATA_TOPICS
+
+
+@pytest.fixture
+def names() -> Names:
+    hosts = {host: Name(kind="host") for host in ("pi0", "jetson0", "infra0")}
+    return Names(names={**hosts, "lap": Name(kind="laptop"), "old": Name(kind="laptop", revoked=("old",))})
+
+
+def spoken_by(section: dict[str, Any], subject: str) -> set[str]:
+    """Keys that a subject may put, according to the rules."""
+    policy = next(policy for policy in section["policies"] if policy["subjects"] == [subject])
+    rules = [rule for rule in section["rules"] if rule["id"] in policy["rules"]]
+    return {k for r in rules if "put" in r["messages"] and r["flows"] == ["ingress"] for k in r["key_exprs"]}
+
+
+def test_every_topic_of_the_table_may_be_spoken_by_its_host_and_by_nobody_else(names: Names) -> None:
+    site = Site()
+    section = access_rules(site, "jetson0", names)
+    assert section["default_permission"] == "deny"
+    for topic in DATA_TOPICS:
+        host = site.host_of(topic.service)
+        if host is None:
+            continue
+        key = f"spotter/{topic.key(host)}"
+        speakers = {"local": "jetson0", "pi0": "pi0", "infra0": "infra0"}
+        for subject, whose in speakers.items():
+            assert (key in spoken_by(section, subject)) == (whose == host), (key, subject)
+    assert spoken_by(section, "laptops") == set()
+
+
+def test_a_host_without_services_may_say_nothing(names: Names) -> None:
+    site = Site(hosts={**Site().hosts, "pi0": HostConfig(address="10.0.0.2")})
+    assert spoken_keys(site, "pi0") == []
+    assert spoken_by(access_rules(site, "jetson0", names), "pi0") == set()
+
+
+def test_a_revoked_name_is_in_no_list(names: Names) -> None:
+    common_names = {
+        name
+        for subject in access_rules(Site(), "jetson0", names)["subjects"]
+        for name in subject.get("cert_common_names", [])
+    }
+    assert common_names == {"pi0", "infra0", "lap"}
+
+
+def test_shadow_keys_stay_on_their_host(names: Names) -> None:
+    section = access_rules(Site(), "jetson0", names)
+    assert any(key.startswith("spotter/shadow/jetson0/") for key in spoken_by(section, "local"))
+    leaving = [r for r in section["rules"] if r["flows"] == ["egress"] and r["id"] != "local hears everything"]
+    assert not any("shadow" in key for rule in leaving for key in rule["key_exprs"])
+
+
+@pytest.mark.parametrize("host", ["pi0", "jetson0", "infra0"])
+def test_zenoh_takes_the_configuration(keys: Path, host: str) -> None:
+    config = router_config(Site(), host, keys)
+    build(config)
+    assert nested_settings(config)["transport"]["link"]["tls"]["enable_mtls"] is True
+    assert len(config.connect) == 2 * list(Site().hosts).index(host)  # two links to each earlier host
+
+
+def test_the_open_mode_has_neither_certificates_nor_rules(tmp_path: Path) -> None:
+    config = router_config(Site(tls=TlsConfig(enabled=False)), "jetson0", tmp_path)
+    assert all(endpoint.startswith("tcp/") for endpoint in (*config.listen, *config.connect))
+    assert "access_control" not in config.extra
+
+
+def test_a_missing_certificate_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"make it with `spotter keys`"):
+        with_certificate(ZenohConfig(), tmp_path, "pi0")

@@ -1,0 +1,116 @@
+"""Comparing two services, and succession between instances: pure functions on made messages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from common.messages import ObjectTrack, ObjectTracks, RadarTrack, RadarTracks
+from common.presence import claimants, successor
+from common.swap.candidate import command_line
+from common.swap.compare import Heard, Limits, compare, in_common, refuse
+from common.swap.watch import flaps, handover_seen, primary
+from common.topics import INFRA_TRACKS, RADAR_TRACKS
+
+
+def radar(t_s: float, *ranges_m: float, level: Any = "SAFE", latency_s: float = 0.02, **more: Any) -> Heard:
+    tracks = [
+        RadarTrack(
+            track_id=i, range_m=range_m, azimuth_rad=0.0, velocity_mps=-1.0, age_frames=9, approaching=True,
+            moving=True, ttc_s=None, level=level, snr_db=20.0,
+        )
+        for i, range_m in enumerate(ranges_m)
+    ]  # fmt: skip
+    stamp_ns = round(t_s * 1e9)
+    message = RadarTracks(
+        stamp_ns=stamp_ns, sent_ns=stamp_ns + round(latency_s * 1e9), tracks=tracks, level=level, settled=True,
+        noise_floor_db=-60.0, **more,
+    )  # fmt: skip
+    return Heard(message, t_s + latency_s)
+
+
+def stream(count: int = 50, period_s: float = 0.1, start_s: float = 1000.0, **how: Any) -> list[Heard]:
+    return [radar(start_s + i * period_s, 5.0 - 0.02 * i, **how) for i in range(count)]
+
+
+def verdict_on(candidate: list[Heard]) -> list[str]:
+    return refuse(compare(RADAR_TRACKS, 5.0, stream(), candidate), Limits())
+
+
+@pytest.mark.parametrize(
+    ("candidate", "told"),
+    [
+        (stream(start_s=1000.03), ""),
+        ([], "it published nothing"),
+        (stream(25, 0.2), "5.0 Hz, the live one 10.0 Hz"),
+        (stream(latency_s=0.3), "latency 300 ms (95 %), allowed 80 ms"),
+        (stream(start_s=2000.0), "none of its messages has the time of a live one"),
+        ([radar(1000.0 + 0.1 * i) for i in range(50)], "only 0% of the objects in common"),
+        (stream(state="degraded", reason="sees nothing"), "it says: sees nothing"),
+    ],
+    ids=["as good", "silent", "slow", "late", "another time", "blind", "degraded"],
+)
+def test_a_worse_candidate_is_refused_with_the_reason(candidate: list[Heard], told: str) -> None:
+    reasons = verdict_on(candidate)
+    assert (not reasons) if not told else any(told in reason for reason in reasons), reasons
+
+
+def test_a_candidate_that_warns_less_is_refused_and_one_that_warns_more_is_not() -> None:
+    live = stream(level="CAUTION")
+    limits = Limits()
+    less = compare(RADAR_TRACKS, 5.0, live, stream(level="SAFE"))
+    more = compare(RADAR_TRACKS, 5.0, live, stream(level="IMMINENT"))
+    assert less.weaker == 1.0
+    assert any("a lower level" in reason for reason in refuse(less, limits))
+    assert more.stronger == 1.0
+    assert not refuse(more, limits)
+
+
+def test_objects_are_matched_once_and_nearest_first() -> None:
+    assert in_common(radar(0.0, 3.0, 3.5).message, radar(0.0, 3.4).message) == pytest.approx(2 / 3)
+    assert in_common(radar(0.0).message, radar(0.0).message) is None
+
+
+def test_tracks_of_the_roadside_are_matched_by_position() -> None:
+    def at(x_m: float) -> ObjectTracks:
+        track = ObjectTrack(
+            track_id=1, label="car", label_confidence=1.0, position_m=[x_m, 0.0, 0.0], velocity_mps=[0.0] * 3,
+            covariance=[[0.0] * 6] * 6, size_m=[4.0, 2.0, 1.5], yaw_rad=0.0, age_s=1.0, score=1.0, state="confirmed",
+            points=50,
+        )  # fmt: skip
+        return ObjectTracks(stamp_ns=1, tracks=[track])
+
+    assert in_common(at(10.0), at(11.0)) == 1.0
+    assert in_common(at(10.0), at(15.0)) == 0.0
+
+
+def test_succession_is_in_the_token() -> None:
+    new = successor("new", "old")
+    assert claimants({"old", new}) == {new}
+    assert claimants({"old", "other"}) == {"old", "other"}
+    assert claimants({"old", new, "other"}) == {new, "other"}
+    third = successor("third", new)
+    assert claimants({new, third}) == {third}
+    assert claimants({successor("a", "b"), successor("b", "a")})  # nonsense is a conflict, not absence
+
+
+def test_gaps_and_flaps_are_counted() -> None:
+    live = stream(10) + stream(10, start_s=1001.3)
+    seen = handover_seen("radar", live, [], [])
+    assert seen.longest_gap_ms == pytest.approx(400.0)
+    assert seen.missed == 3
+    assert flaps([(0.0, "SAFE"), (1.0, "CAUTION"), (1.3, "SAFE"), (5.0, "CAUTION"), (9.0, "SAFE")]) == 1
+
+
+def test_the_topic_that_counts_is_the_one_others_decide_on() -> None:
+    assert primary("radar") is RADAR_TRACKS
+    assert primary("infra_lidar") is INFRA_TRACKS
+    assert primary("dashboard").product == "status"
+
+
+def test_only_our_own_programs_are_told_by_options() -> None:
+    ours = command_line("/opt/bin/spotter-radar --config a.toml", "pi0", "tcp/127.0.0.1:7447", "spotter")
+    assert ours[:3] == ["/opt/bin/spotter-radar", "--config", "a.toml"]
+    assert "host=pi0" in ours
+    assert command_line("python theirs.py", "pi0", "tcp/127.0.0.1:7447", "spotter") == ["python", "theirs.py"]
