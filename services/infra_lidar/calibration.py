@@ -40,6 +40,7 @@ class Calibration:
     road_points: int
     frames: int
     refused: str = ""
+    baseline: tuple[float, float, float] | None = None  # what the nudge watch measured right after: m, slope x, slope y
 
     @property
     def normal(self) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from services.infra_lidar.calibration import Calibration, Calibrator, fit_level_surface
@@ -42,8 +44,8 @@ class CalibrationKeeper:
 
     @property
     def settled_calibration(self) -> Calibration | None:
-        """The calibration once it is final and usable."""
-        usable = self.settled and self._current is not None and not self._current.refused
+        """The calibration once it is final, usable and measured once by the nudge watch."""
+        usable = self.settled and self._current is not None and self._current.baseline is not None
         return self._current if usable else None
 
     @property
@@ -89,7 +91,12 @@ class CalibrationKeeper:
             return
         self._seen_lost = 0
         coefficients, _ = fit_level_surface(road, WATCH_BAND_M)
-        self.nudge_deg = float(np.degrees(np.hypot(coefficients[1], coefficients[2])))
-        self.nudge_m = float(coefficients[0])
+        assert self._current is not None
+        if self._current.baseline is None:  # the watch sees kerbs and verges too: only changes of what it sees count
+            m, slope_x, slope_y = (float(c) for c in coefficients)
+            self._current = replace(self._current, baseline=(m, slope_x, slope_y))
+        change = coefficients - np.array(self._current.baseline)
+        self.nudge_deg = float(np.degrees(np.hypot(change[1], change[2])))
+        self.nudge_m = float(change[0])
         moved = self.nudge_deg > self._config.nudge_tilt_deg or abs(self.nudge_m) > self._config.nudge_height_m
         self._suspicious = self._suspicious + 1 if moved else 0

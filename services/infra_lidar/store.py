@@ -79,6 +79,8 @@ def read_calibration(path: Path) -> Calibration:
     T = np.array(document.pop("T_level_sensor"), float)
     if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6):
         raise ValueError("T_level_sensor is no rigid transform")
+    if document.get("baseline") is not None:
+        document["baseline"] = tuple(float(value) for value in document["baseline"])
     return Calibration(T_level_sensor=T, **document)
 
 

@@ -123,6 +123,15 @@ def test_a_nudge_is_noticed_and_measured(plane_cloud, pitch_rad, height_m):
     assert keeper.complaint == ""
 
 
+def test_the_standing_recording_is_not_called_moved(recording):
+    keeper = CalibrationKeeper(CONFIG)
+    for k in range(12):
+        with np.load(recording("lidar128-velodyne-vls128") / f"scan_{k % 3}.npz") as file:
+            _watch(keeper, file["xyz"], 1.0 + 2.5 * k)
+    assert keeper.complaint == ""
+    assert keeper.nudge_deg < 0.1
+
+
 def test_real_recordings_stand_where_their_notes_say(recording):
     with np.load(recording("lidar128-velodyne-vls128") / "scan_0.npz") as file:
         found = Calibrator(CalibrationConfig()).add(file["xyz"])
