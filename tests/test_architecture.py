@@ -42,6 +42,7 @@ EXTRAS_OF = {
     "common/recording/foxglove.py": {"record", "foxglove"},
     "common/recording": {"record"},
     "common/security/authority.py": {"keys"},
+    "common/plots": {"plot"},
     "common/sim/camera.py": {"jetson"},
     "common/sim/lidar128.py": {"infra-lidar"},
 }

@@ -13,6 +13,7 @@ from common.cli.install import install
 from common.cli.keys import keys
 from common.cli.look import echo, health, hz, ls
 from common.cli.metrics import metrics
+from common.cli.plot import plot
 from common.cli.record import record
 from common.cli.replay import replay
 from common.cli.router import router
@@ -41,6 +42,7 @@ for command in (
     install,
     swap,
     top,
+    plot,
     export,
     metrics,
     foxglove,

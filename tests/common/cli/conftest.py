@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -143,3 +145,9 @@ def until() -> Callable[[Callable[[], object]], None]:
             pause.wait(0.02)
 
     return wait
+
+
+@pytest.fixture(scope="session")
+def speakers() -> ModuleType:
+    """This file: its messages, for tests that need one of each."""
+    return sys.modules[__name__]

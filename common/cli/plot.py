@@ -1,0 +1,94 @@
+"""`spotter plot`: a picture of what is on the bus now, or of a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from common.cli.connect import DEFAULT_ENDPOINT, Connect, Namespace, bus
+from common.cli.fail import fail
+from common.cli.progress import Progress
+
+
+def plot(
+    what: Annotated[str, typer.Argument(help="A key such as pi0/radar/tracks, or a recording or incident FILE.mcap.")],
+    out: Annotated[Path, typer.Argument(help="OUT.png")],
+    timeout: Annotated[float, typer.Option(help="Seconds to wait for a message.")] = 5.0,
+    start: Annotated[float, typer.Option("--from", min=0.0, help="Of a recording: begin this many seconds in.")] = 0.0,
+    end: Annotated[float, typer.Option("--to", help="... and end here; 0 = its end.")] = 0.0,
+    connect: Connect = DEFAULT_ENDPOINT,
+    namespace: Namespace = "spotter",
+) -> None:
+    """Wait for one message of a key and draw it; or draw what happened in a recording."""
+    try:
+        import common.plots.story  # noqa: F401
+    except ImportError as error:
+        fail(f"plotting needs the extra `plot` or `laptop`: {error}")
+    try:
+        if what.endswith(".mcap"):
+            _plot_recording(Path(what), out, start, end)
+        else:
+            _plot_live(what, out, timeout, connect, namespace)
+    except (ValueError, OSError) as error:
+        fail(str(error))
+    print(out)
+
+
+def _plot_live(key: str, out: Path, timeout_s: float, connect: str, namespace: str) -> None:
+    from common.plots.message import plot_message
+
+    with bus(connect, namespace) as session:
+        key, message = _one_message(session, key, timeout_s)
+    plot_message(key, message, out)
+
+
+def _one_message(session: Any, key: str, timeout_s: float) -> tuple[str, Any]:
+    """The first message that comes; asking for it is what makes an on-demand topic be published."""
+    import queue
+
+    from common.codec import decode
+    from common.topics import find_topic
+
+    inbox: queue.Queue[tuple[str, bytes]] = queue.Queue(16)
+
+    def note(sample: Any) -> None:
+        if not inbox.full():
+            inbox.put_nowait((str(sample.key_expr), sample.payload.to_bytes()))
+
+    subscriber = session.declare_subscriber(key, note)
+    try:
+        at, payload = inbox.get(timeout=timeout_s)
+    except queue.Empty:
+        fail(f"nothing on {key} within {timeout_s:g} s; `spotter hz '**'` shows what there is")
+    finally:
+        subscriber.undeclare()
+    topic = find_topic(at)
+    if topic is None:
+        fail(f"{at}: not one of the topics; `spotter echo` prints it")
+    return at, decode(payload, topic.message, topic.max_bytes)
+
+
+def _plot_recording(file: Path, out: Path, start_s: float, end_s: float) -> None:
+    from common.codec import DecodeError, decode
+    from common.plots.story import Story, plot_story
+    from common.recording.reader import read
+    from common.topics import find_topic
+
+    story, progress, first_ns = Story(), Progress(), 0
+    for recorded in read(file):
+        first_ns = first_ns or recorded.log_ns
+        at_s = (recorded.log_ns - first_ns) / 1e9
+        topic = find_topic(recorded.key)
+        if topic is None or at_s < start_s:
+            continue
+        if end_s and at_s > end_s:
+            break
+        progress.tell(f"{at_s:8.1f} s")
+        try:
+            story.tell(at_s - start_s, decode(recorded.payload, topic.message, topic.max_bytes))
+        except DecodeError:
+            continue
+    progress.close()
+    plot_story(story, f"{file.name}" + (f", from {start_s:g} s" if start_s else ""), out)
