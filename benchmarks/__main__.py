@@ -1,7 +1,7 @@
 """`make bench`: every benchmark, or those named. Ratios against a plain reference in the same run; nothing is asserted.
 
-    python -m benchmarks                 all of them, some minutes
-    python -m benchmarks radar ld06      these two
+python -m benchmarks                 all of them, some minutes
+python -m benchmarks radar ld06      these two
 """
 
 from __future__ import annotations

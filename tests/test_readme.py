@@ -13,9 +13,11 @@ from common.topics import DATA_TOPICS, OPTIONAL_SERVICES, SERVICES, Topic
 
 REPOSITORY = Path(__file__).parent.parent
 README = (REPOSITORY / "README.md").read_text()
-DOCUMENTS = [
-    path for path in REPOSITORY.rglob("*.md") if ".venv" not in path.parts and "node_modules" not in path.parts
-]
+DOCUMENTS = sorted(
+    path
+    for path in REPOSITORY.rglob("*.md")
+    if not any(part.startswith((".", "node_modules")) for part in path.relative_to(REPOSITORY).parts)
+)
 
 
 @pytest.mark.parametrize("topic", DATA_TOPICS, ids=lambda topic: topic.name)
