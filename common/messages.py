@@ -315,7 +315,9 @@ class SensorHealth(msgspec.Struct, kw_only=True):
     since_ns: Count
     age_ms: Finite | None
     rate_hz: NotNegative
-    cause: Name = ""  # host_unreachable | service_gone | device_lost | stale | impaired | clock | waiting | ""
+    # host_unreachable | service_gone | device_lost | stale | impaired | clock | waiting | recovering | isolated |
+    # two_claimants; empty when online
+    cause: Name = ""
 
 
 class ServiceHealth(msgspec.Struct, kw_only=True):
@@ -340,7 +342,7 @@ class SystemHealth(Message, kw_only=True):
     colour: Literal["green", "amber", "red"]
     summary: Text  # the health bar's text
     services: dict[Name, ServiceHealth]  # by "<host>/<service>"
-    clocks: dict[Name, ClockHealth] = {}  # by host
+    clocks: dict[Name, ClockHealth] = {}  # by "<host>/<service>"
     notes: list[Text] = []  # what else a person should know: isolation, start-up, latency budget
 
 

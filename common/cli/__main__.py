@@ -6,6 +6,7 @@ import typer
 
 from common.cli.demo import demo
 from common.cli.doctor import doctor
+from common.cli.drill import drill
 from common.cli.export import export
 from common.cli.foxglove import foxglove
 from common.cli.incident import app as incident
@@ -46,6 +47,7 @@ for command in (
     export,
     metrics,
     foxglove,
+    drill,
 ):
     app.command()(command)
 app.add_typer(keys, name="keys")
