@@ -129,7 +129,8 @@ class Latest(Generic[M]):
             try:
                 message = decode(sample.payload.to_bytes(), self._type, self._topic.max_bytes)
             except DecodeError as error:
-                self._report.bad_input(f"undecodable {self._topic.name}")  # the words would let a sender fill our memory
+                # Only the topic: the words of the error would let a sender fill our memory.
+                self._report.bad_input(f"undecodable {self._topic.name}")
                 self.refused[key] = str(error)
                 continue
             taken.append(Received(key, message, arrived_s, arrived_ns))
