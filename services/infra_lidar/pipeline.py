@@ -70,7 +70,7 @@ class InfraLidarPipeline:
         watch.lap("calibrate")
 
         # 2. Leave out what was always there, level the rest and take the road away. From here on in the level frame.
-        parted = self.scene.part(stamp_ns, points, calibration)
+        parted = self.scene.part(stamp_ns, points, calibration, quality is None or quality.complete)
         watch.lap("ground")
 
         # 3. Connected components of what is left, seen from above.

@@ -52,9 +52,14 @@ class Scene:
         self._structure = StructureMap(config.clustering, config.ground.range_max_m)
         self._beams = np.zeros(256, bool)
         self._beam_count, self._sector_count = 0, 0
+        self._complete = True
 
-    def part(self, stamp_ns: int, points: np.ndarray, calibration: Calibration) -> Parted:
-        """Part (N, 3+) float32 sensor-frame points; nothing is left where the calibration is refused."""
+    def part(self, stamp_ns: int, points: np.ndarray, calibration: Calibration, complete: bool = True) -> Parted:
+        """Part (N, 3+) float32 sensor-frame points; nothing is left where the calibration is refused.
+
+        ``complete``: the whole circle is there; only then the sensor is compared with what it saw before.
+        """
+        self._complete = complete
         if calibration.refused:
             nothing = self.ground.remove(points[:0], calibration.T_level_sensor)
             no = np.zeros(len(points), bool)
@@ -69,7 +74,8 @@ class Scene:
 
         Returns True when this frame ended the learning.
         """
-        if not self._config.background.enabled or not self._keeper.settled or parted.source is not None:
+        ready = self._config.background.enabled and self._keeper.settled and self._complete
+        if not ready or parted.source is not None:
             return False
         if self.background.lost:
             self.background.restart()
@@ -117,6 +123,8 @@ class Scene:
 
     def _look_after(self, stamp_ns: int, points: np.ndarray, frame: Levelled) -> None:
         """Count beams and directions of a whole frame, and watch for a nudge."""
+        if not self._complete:
+            return
         self._beam_count = int(beams_seen(points[:, 4], self._beams)) if points.shape[1] > 4 else 0
         self._sector_count = self.ground.sectors_seen
         self._keeper.look_after(stamp_ns, frame)

@@ -165,6 +165,21 @@ def test_a_damaged_store_is_not_used(tmp_path, name, content):
     assert Store(str(tmp_path)).load() == (None, None)
 
 
+def test_partial_revolutions_are_not_taken_for_a_moved_sensor(recording):
+    from services.infra_lidar.blindness import FrameQuality
+
+    with np.load(recording("lidar128-velodyne-vls128") / "scan_0.npz") as file:
+        whole = file["xyz"]
+    half = whole[whole[:, 1] > 0]
+    pipeline = InfraLidarPipeline(InfraLidarConfig(background=BackgroundConfig(enabled=False)))
+    for k in range(14):
+        complete = k % 2 == 0 or k < 7
+        result = pipeline.process(
+            START_NS + k * 2_500_000_000, whole if complete else half, FrameQuality(complete=complete)
+        )
+    assert "moved" not in result.tracks.reason
+
+
 @pytest.mark.slow
 def test_nothing_moves_in_the_standing_recording(recording):
     folder = recording("lidar128-velodyne-vls128")
