@@ -114,8 +114,8 @@ class Player:
 
     def at(self, t_s: float, scene: Scene) -> Actor:
         pose = self.motion.at(t_s)
-        slope = -scene.ground.normal(pose.x_m, pose.y_m)
-        climb = -(slope[0] * pose.vx_mps + slope[1] * pose.vy_mps) / slope[2]
+        along_x, along_y = scene.ground.gradient(pose.x_m, pose.y_m)
+        climb = along_x * pose.vx_mps + along_y * pose.vy_mps
         z = float(scene.ground.height(pose.x_m, pose.y_m))
         return Actor(
             self.actor_id,

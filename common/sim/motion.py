@@ -5,6 +5,8 @@ Speeds follow trapezoids, paths have bounded curvature, so that acceleration is 
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -35,17 +37,19 @@ class Path:
     def __init__(self, points_m: np.ndarray) -> None:
         """Args: points_m: (N, 2) dense samples of the curve in map metres, N >= 2."""
         step = np.hypot(*np.diff(points_m, axis=0).T)
-        self._s_m = np.concatenate([[0.0], np.cumsum(step)])
-        self._points_m = points_m
-        heading = np.unwrap(np.arctan2(*np.gradient(points_m, self._s_m, axis=0).T[::-1]))
-        self._heading_rad = heading
-        self.length_m = float(self._s_m[-1])
+        s_m = np.concatenate([[0.0], np.cumsum(step)])
+        heading = np.unwrap(np.arctan2(*np.gradient(points_m, s_m, axis=0).T[::-1]))
+        # plain numbers: a single place is looked up faster in a list than in an array
+        self._s_m: list[float] = s_m.tolist()
+        self._places: list[list[float]] = np.column_stack([points_m, heading]).tolist()
+        self.length_m = self._s_m[-1]
 
     def point(self, s_m: float) -> tuple[float, float, float]:
-        """(x, y, heading) at arc length ``s_m``."""
-        x = float(np.interp(s_m, self._s_m, self._points_m[:, 0]))
-        y = float(np.interp(s_m, self._s_m, self._points_m[:, 1]))
-        return x, y, float(np.interp(s_m, self._s_m, self._heading_rad))
+        """(x, y, heading) at arc length ``s_m``, linear between the samples; the ends beyond them."""
+        i = min(max(bisect_right(self._s_m, s_m) - 1, 0), len(self._s_m) - 2)
+        share = min(max((s_m - self._s_m[i]) / (self._s_m[i + 1] - self._s_m[i]), 0.0), 1.0)
+        x, y, heading = (a + share * (b - a) for a, b in zip(self._places[i], self._places[i + 1], strict=True))
+        return x, y, heading
 
 
 def bezier(*control_m: tuple[float, float]) -> Path:
@@ -83,8 +87,8 @@ class Ride:
         """The pose ``elapsed_s`` after the start; before and after it stands at the ends."""
         s_m, speed_mps = self._progress(min(max(elapsed_s, 0.0), self.duration_s))
         x, y, heading = self.path.point(s_m)
-        yaw = heading + np.pi if self.backwards else heading
-        return Pose(x, y, yaw, speed_mps * np.cos(heading), speed_mps * np.sin(heading), s_m)
+        yaw = heading + math.pi if self.backwards else heading
+        return Pose(x, y, yaw, speed_mps * math.cos(heading), speed_mps * math.sin(heading), s_m)
 
     def _progress(self, t: float) -> tuple[float, float]:
         v, a, total = self.speed_mps, self.accel_mps2, self.duration_s
@@ -119,7 +123,7 @@ class Errand:
 
 def _turning(rest: Pose, goal_yaw_rad: float, fraction: float) -> Pose:
     """``rest`` turned the shorter way towards the goal, smoothly from fraction 0 to 1."""
-    turn = (goal_yaw_rad - rest.yaw_rad + np.pi) % (2 * np.pi) - np.pi
+    turn = (goal_yaw_rad - rest.yaw_rad + math.pi) % (2 * math.pi) - math.pi
     eased = fraction * fraction * (3.0 - 2.0 * fraction)
     return Pose(rest.x_m, rest.y_m, rest.yaw_rad + turn * eased, 0.0, 0.0, 0.0)
 
@@ -137,7 +141,7 @@ class Circuit:
         s_m = self.path.length_m * ((self.laps * t_s / self.length_s + self.phase) % 1.0)
         x, y, heading = self.path.point(s_m)
         speed = self.path.length_m * self.laps / self.length_s
-        return Pose(x, y, heading, speed * np.cos(heading), speed * np.sin(heading), s_m)
+        return Pose(x, y, heading, speed * math.cos(heading), speed * math.sin(heading), s_m)
 
 
 @dataclass(frozen=True)
@@ -147,10 +151,10 @@ class Straight:
     start_m: tuple[float, float]
     yaw_rad: float
     speed_mps: float
-    length_s: float = np.inf
+    length_s: float = math.inf
 
     def at(self, t_s: float) -> Pose:
         way_m = self.speed_mps * (t_s % self.length_s)
-        vx, vy = self.speed_mps * np.cos(self.yaw_rad), self.speed_mps * np.sin(self.yaw_rad)
-        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
-        return Pose(self.start_m[0] + way_m * c, self.start_m[1] + way_m * s, self.yaw_rad, vx, vy, way_m)
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        x, y = self.start_m[0] + way_m * c, self.start_m[1] + way_m * s
+        return Pose(x, y, self.yaw_rad, self.speed_mps * c, self.speed_mps * s, way_m)

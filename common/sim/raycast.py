@@ -59,9 +59,19 @@ def cast(
 
 def _interval(o: np.ndarray, d: np.ndarray, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Entering and leaving parameters (N, P) of rays in the unit frames."""
+    enter, leave = np.empty(d.shape[:2]), np.empty(d.shape[:2])
     is_box, is_drum = shape == BOX, shape == CYLINDER
-    ball, drum = _ball(o, d), _ball(o[..., :2], d[..., :2])
-    x, y, z = (_slab(o[..., k], d[..., k]) for k in range(3))
-    enter = np.select([is_box, is_drum], [np.maximum(np.maximum(x[0], y[0]), z[0]), np.maximum(drum[0], z[0])], ball[0])
-    leave = np.select([is_box, is_drum], [np.minimum(np.minimum(x[1], y[1]), z[1]), np.minimum(drum[1], z[1])], ball[1])
+    for these, test in ((is_box, _cube), (is_drum, _drum), (~is_box & ~is_drum, _ball)):
+        if these.any():
+            enter[:, these], leave[:, these] = test(o[:, these], d[:, these])
     return enter, leave
+
+
+def _cube(o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    enter, leave = _slab(o, d)
+    return enter.max(axis=-1), leave.min(axis=-1)
+
+
+def _drum(o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    (enter, leave), (low, high) = _ball(o[..., :2], d[..., :2]), _slab(o[..., 2], d[..., 2])
+    return np.maximum(enter, low), np.minimum(leave, high)

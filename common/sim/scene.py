@@ -23,9 +23,14 @@ class Ground:
         bend = 0.5 * (self.x_bend_per_m * x_m * x_m + self.y_bend_per_m * y_m * y_m)
         return self.x_slope * x_m + self.y_slope * y_m + bend
 
+    def gradient(self, x_m: float, y_m: float) -> tuple[float, float]:
+        """Rise per metre along x and along y at a place."""
+        return self.x_slope + self.x_bend_per_m * x_m, self.y_slope + self.y_bend_per_m * y_m
+
     def normal(self, x_m: float, y_m: float) -> np.ndarray:
         """(3,) unit normal at a place, upwards, map frame."""
-        n = np.array([-self.x_slope - self.x_bend_per_m * x_m, -self.y_slope - self.y_bend_per_m * y_m, 1.0])
+        along_x, along_y = self.gradient(x_m, y_m)
+        n = np.array([-along_x, -along_y, 1.0])
         return n / np.linalg.norm(n)
 
 
