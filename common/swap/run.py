@@ -112,7 +112,8 @@ class _Ears:
 def _running(session: zenoh.Session, order: Order) -> ServiceInfo:
     """The one live instance."""
     found: list[ServiceInfo] = []
-    for reply in session.get(topics.info_key(order.host, order.service), timeout=2.0):
+    key, everybody = topics.info_key(order.host, order.service), zenoh.QueryTarget.ALL
+    for reply in session.get(key, target=everybody, consolidation=zenoh.ConsolidationMode.NONE, timeout=2.0):
         try:
             found += [decode(reply.ok.payload.to_bytes(), ServiceInfo)] if reply.ok is not None else []
         except DecodeError:
@@ -139,7 +140,8 @@ def _compare(order: Order, ears: _Ears, candidate: Candidate, say: Callable[[str
     """Wait until the candidate is warm, then listen to both for ``seconds``."""
     say(f"candidate {candidate.pid} in the shadow; log in {order.log}")
     if not ears.shadow.wait(_is_online, START_BUDGET_S, candidate.ended):
-        raise Refused(candidate.ended() or f"it was not online within {START_BUDGET_S:.0f} s; see {order.log}")
+        late = f"it was not online within {START_BUDGET_S:.0f} s; see {order.log}"
+        raise Refused(candidate.ended() or ears.shadow.wrong or late)
     say(f"it is online; comparing for {order.seconds:g} s")
     start_s = monotonic_s()
     if ears.live.wait(lambda _: False, order.seconds, candidate.ended) or candidate.ended():

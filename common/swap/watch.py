@@ -23,7 +23,7 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     messages: int
     longest_gap_ms: float
     usual_gap_ms: float  # median
-    missed: int  # periods without a message
+    missed: int  # fewer than the usual gap would give over the same time
     verdict_flaps: int  # level changed and came back within a second
     health_flaps: int  # the sensor left online
 
@@ -36,14 +36,15 @@ class Ear:
         self._heard: list[Heard] = []
         self._news = threading.Condition()
         self.undecodable = 0
+        self.wrong = ""  # with the last one that could not be decoded
         self._subscriber = session.declare_subscriber(key, self._note)
 
     def _note(self, sample: zenoh.Sample) -> None:
         arrived_s = monotonic_s()
         try:
             message = decode(sample.payload.to_bytes(), self._topic.message, self._topic.max_bytes)
-        except DecodeError:
-            self.undecodable += 1
+        except DecodeError as error:
+            self.undecodable, self.wrong = self.undecodable + 1, str(error)
             return
         with self._news:
             self._heard.append(Heard(message, arrived_s))
@@ -77,12 +78,12 @@ def primary(service: str) -> Topic:
 def handover_seen(service: str, live: list[Heard], verdicts: list[Heard], health: list[Heard]) -> Gap:
     """Gaps on the topic and flaps of verdict and health over the same time."""
     gaps_s = sorted(later.arrived_s - earlier.arrived_s for earlier, later in pairwise(live))
-    period_s = 1.0 / (primary(service).nominal_hz or 10.0)
+    usual_s = gaps_s[len(gaps_s) // 2] if gaps_s else 0.0
     return Gap(
         messages=len(live),
         longest_gap_ms=round(gaps_s[-1] * 1e3, 1) if gaps_s else 0.0,
-        usual_gap_ms=round(gaps_s[len(gaps_s) // 2] * 1e3, 1) if gaps_s else 0.0,
-        missed=sum(max(0, round(gap_s / period_s) - 1) for gap_s in gaps_s),
+        usual_gap_ms=round(usual_s * 1e3, 1),
+        missed=max(0, round(sum(gaps_s) / usual_s) - len(gaps_s)) if usual_s else 0,
         verdict_flaps=flaps([(heard.arrived_s, level_of(heard.message)) for heard in verdicts]),
         health_flaps=sum(
             earlier == "online" and later != "online"

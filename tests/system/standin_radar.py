@@ -18,6 +18,7 @@ import zenoh
 HOST = os.environ.get("SPOTTER_HOST", "pi0")
 SHADOW, SUCCEEDS = os.environ.get("SPOTTER_SHADOW", ""), os.environ.get("SPOTTER_SUCCEEDS", "")
 INSTANCE = uuid.uuid4().hex[:8] + (f"-after-{SUCCEEDS}" if SHADOW else "")
+HEADER = {"seq": 0, "frame_id": "radar"}
 WORSE = sys.argv[1] if len(sys.argv) > 1 else ""
 PERIOD_S = 0.2 if WORSE == "slow" else 0.1
 counts = {"published": 0, "seq": 0}
@@ -32,17 +33,18 @@ def tracks(now_ns):
         track_id=1, range_m=range_m, azimuth_rad=0.0, velocity_mps=-1.5 * math.sin(now_ns * 1e-9), age_frames=9
     )
     track |= dict(approaching=False, moving=True, ttc_s=None, level="SAFE", snr_db=20.0)
-    return dict(stamp_ns=now_ns, tracks=[track], level="SAFE", settled=True, noise_floor_db=-60.0)
+    return dict(HEADER, stamp_ns=now_ns, tracks=[track], level="SAFE", settled=True, noise_floor_db=-60.0)
 
 
 def status(now_ns):
-    return dict(stamp_ns=now_ns, state="online", reason="", published=counts["published"], dropped=0, bad_input=0,
-                rate_hz=1 / PERIOD_S, last_frame_age_s=0.0, stage_ms={}, rss_mb=0.0, instance=INSTANCE)  # fmt: skip
+    return dict(HEADER, stamp_ns=now_ns, state="online", reason="", published=counts["published"], dropped=0,
+                bad_input=0, rate_hz=1 / PERIOD_S, last_frame_age_s=0.0, stage_ms={}, rss_mb=0.0,
+                instance=INSTANCE)  # fmt: skip
 
 
 def info(now_ns):
-    return dict(stamp_ns=now_ns, service="radar", host=HOST, instance=INSTANCE, version="0.1.0", config_hash="none",
-                topics=[f"{HOST}/radar/tracks"], started_ns=now_ns, pid=os.getpid())  # fmt: skip
+    return dict(HEADER, stamp_ns=now_ns, service="radar", host=HOST, instance=INSTANCE, version="0.1.0",
+                config_hash="none", topics=[f"{HOST}/radar/tracks"], started_ns=now_ns, pid=os.getpid())  # fmt: skip
 
 
 def put(session, key, schema, message):
@@ -59,12 +61,20 @@ def announce(session, base):
     return token, answer(f"{base}/info", info), answer(f"{base}/status", status)
 
 
+def open_when_there(config):
+    while True:
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError:  # no router yet
+            time.sleep(0.5)
+
+
 def main():
     config = zenoh.Config.from_json5('{mode: "client", scouting: {multicast: {enabled: false}}}')
     config.insert_json5("connect/endpoints", '["' + os.environ["SPOTTER_CONNECT"] + '"]')
     config.insert_json5("namespace", '"' + os.environ.get("SPOTTER_NAMESPACE", "spotter") + '"')
     base = f"{SHADOW}/{HOST}/radar" if SHADOW else f"{HOST}/radar"
-    with zenoh.open(config) as session:
+    with open_when_there(config) as session:
         claims = announce(session, base)
         while True:
             now_ns = time.time_ns()
