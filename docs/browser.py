@@ -45,7 +45,7 @@ class Browser:
             return bool(targets)
 
         self._until(page_is_there)
-        self._socket = open_socket(targets[0]["webSocketDebuggerUrl"], max_size=None, legacy=True)
+        self._socket = open_socket(targets[0]["webSocketDebuggerUrl"], max_size=None, legacy=True, ping_interval=None)
         self._next_id = 0
         self.complaints: list[str] = []
         self.requests: list[str] = []

@@ -26,7 +26,7 @@ function drawRings(pen, colour, at, perMetre) {
     pen.arc(...at(0, 0), range * perMetre, -Math.PI * 0.8, -Math.PI * 0.2);
     pen.stroke();
     const [x, y] = at(range * Math.cos(0.62), -range * Math.sin(0.62));
-    pen.fillText(`${range} m`, x + 4, y + 4);
+    pen.fillText(`${range} m`, Math.min(x + 4, at(0, 0)[0] * 2 - 26), y + 4);
   }
 }
 

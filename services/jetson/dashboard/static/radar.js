@@ -16,7 +16,7 @@ export function drawRadar(radar) {
     line(pen, at(v, 0), at(v, reach));
     pen.fillText(`${v}`, at(v, 0)[0] - 4, height - 6);
   }
-  pen.fillText("m/s", width - 28, height - 6);
+  pen.fillText("m/s", 2, height - 22);
   for (const [range, name] of ALARM_M) {
     pen.strokeStyle = colour(name);
     pen.setLineDash([6, 4]);

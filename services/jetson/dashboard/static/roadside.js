@@ -1,8 +1,10 @@
 // What the pole sees, in the map frame: boxes with class, id, velocity and trail; the cloud in 3-D when asked for.
+// From above x is up and y is left, as in the view ahead of the vehicle.
 import { prepare, list } from "/static/canvas.js";
 
 const STALE_MS = 500;
 const TRAIL_MS = 6000;
+const FIT_M = 45; // who is farther away does not shrink the view; zoom out to see them
 const CLASSES = ["car", "large_vehicle", "cyclist", "pedestrian", "background", "unknown"];
 const canvas = document.getElementById("roadside");
 const toggle = document.getElementById("cloud-toggle");
@@ -32,12 +34,12 @@ canvas.addEventListener("pointermove", (event) => {
     camera.turn += event.movementX * 0.01;
     camera.tilt = Math.min(1.5, Math.max(0.1, camera.tilt + event.movementY * 0.01));
   } else {
-    camera.x -= event.movementX / camera.perMetre;
-    camera.y += event.movementY / camera.perMetre;
+    camera.y += event.movementX / camera.perMetre;
+    camera.x += event.movementY / camera.perMetre;
   }
 });
 canvas.addEventListener("keydown", (event) => {
-  const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+  const step = { ArrowLeft: [0, 1], ArrowRight: [0, -1], ArrowUp: [1, 0], ArrowDown: [-1, 0] }[event.key];
   if (!step && event.key !== "+" && event.key !== "-") return;
   event.preventDefault();
   touched = true;
@@ -52,7 +54,7 @@ export function drawRoadside(tracks, cloud, ego) {
   remember(shown);
   const at = cloudIsOn() ? perspective(width, height) : plan(width, height);
   const palette = Object.fromEntries(CLASSES.map((name) => [name, colour(name)]));
-  drawGrid(pen, colour, at);
+  drawGrid(pen, colour, at, Math.max(width, height) / camera.perMetre);
   if (cloudIsOn() && cloud) drawCloud(pen, colour, at, cloud);
   pen.globalAlpha = tracks.ageMs > STALE_MS ? 0.3 : 1;
   for (const track of shown) drawTrack(pen, palette, colour, at, track);
@@ -72,33 +74,35 @@ function say(text) {
 // Keep the traffic in view until the user takes over: half of the distance to the wanted view a draw.
 function fit(tracks, width, height) {
   if (touched && camera.perMetre) return;
-  const xs = [-3, 30, ...tracks.map((t) => t.position_m[0])];
-  const ys = [-12, 12, ...tracks.map((t) => t.position_m[1])];
+  const near = tracks.filter((t) => Math.max(...t.position_m.slice(0, 2).map(Math.abs)) < FIT_M);
+  const xs = [-3, 20, ...near.map((t) => t.position_m[0])];
+  const ys = [-20, 20, ...near.map((t) => t.position_m[1])];
   const [minX, maxX, minY, maxY] = [Math.min(...xs) - 4, Math.max(...xs) + 4, Math.min(...ys) - 4, Math.max(...ys) + 4];
-  const wanted = Math.min(width / (maxX - minX), height / (maxY - minY));
+  const wanted = Math.min(width / (maxY - minY), height / (maxX - minX));
   const ease = camera.perMetre ? 0.15 : 1;
   camera.perMetre += ease * (wanted - camera.perMetre);
   camera.x += ease * ((minX + maxX) / 2 - camera.x);
   camera.y += ease * ((minY + maxY) / 2 - camera.y);
 }
 
-const plan = (width, height) => (x, y) => [width / 2 + (x - camera.x) * camera.perMetre, height / 2 - (y - camera.y) * camera.perMetre];
+const plan = (width, height) => (x, y) => [width / 2 - (y - camera.y) * camera.perMetre, height / 2 - (x - camera.x) * camera.perMetre];
 
 function perspective(width, height) {
   const [c, s, ct, st] = [Math.cos(camera.turn), Math.sin(camera.turn), Math.cos(camera.tilt), Math.sin(camera.tilt)];
   return (x, y, z = 0) => {
-    const [dx, dy] = [x - camera.x, y - camera.y];
-    const [u, v] = [c * dx + s * dy, -s * dx + c * dy];
+    const [right, ahead] = [camera.y - y, x - camera.x];
+    const [u, v] = [c * right + s * ahead, -s * right + c * ahead];
     return [width / 2 + u * camera.perMetre, height / 2 - (v * st + z * ct) * camera.perMetre];
   };
 }
 
-function drawGrid(pen, colour, at) {
+function drawGrid(pen, colour, at, span) {
+  const reach = 10 * Math.ceil(span / 10);
   pen.strokeStyle = colour("line");
   const [x0, y0] = [Math.round(camera.x / 10) * 10, Math.round(camera.y / 10) * 10];
-  for (let d = -80; d <= 80; d += 10) {
-    line(pen, at(x0 + d, y0 - 80), at(x0 + d, y0 + 80));
-    line(pen, at(x0 - 80, y0 + d), at(x0 + 80, y0 + d));
+  for (let d = -reach; d <= reach; d += 10) {
+    line(pen, at(x0 + d, y0 - reach), at(x0 + d, y0 + reach));
+    line(pen, at(x0 - reach, y0 + d), at(x0 + reach, y0 + d));
   }
 }
 
@@ -158,7 +162,7 @@ function drawTrack(pen, palette, colour, at, track) {
   if (speed > 0.3 || camera.perMetre > 12) {
     const [x, y] = at(px, py, pz);
     pen.fillStyle = colour("text");
-    pen.fillText(`${track.track_id % 10000}${speed > 0.3 ? ` ${speed.toFixed(1)}` : ""}`, x + 6, y - 6);
+    pen.fillText(`#${track.track_id % 10000}${speed > 0.3 ? ` ${speed.toFixed(1)} m/s` : ""}`, x + 6, y - 6);
   }
 }
 

@@ -30,7 +30,8 @@ export function drawVerdict(verdict, cut) {
 export function drawHealth(health, cut) {
   const fresh = health && !cut && health.ageMs < NO_HEALTH_AFTER_MS;
   byId("health").className = `health ${fresh ? health.message.colour : "none"}`;
-  setText(byId("health"), fresh ? health.message.summary : "HEALTH UNKNOWN: fusion does not publish");
+  const unknown = cut ? "HEALTH UNKNOWN: no connection to the dashboard server" : "HEALTH UNKNOWN: fusion does not publish";
+  setText(byId("health"), fresh ? health.message.summary : unknown);
 }
 
 function fill(body, rows) {
@@ -50,6 +51,10 @@ function fill(body, rows) {
   }));
 }
 
+// Fusion's reason to use or not to use a sensor often holds the sensor's own: then that is said once.
+const plain = (text) => text.replace(/[0-9.]/g, "");
+const whyOf = (reason, why) => (plain(why).includes(plain(reason)) ? why : [reason, why].filter(Boolean).join(" · "));
+
 export const age = (ms) => (ms === null || ms === undefined ? "never" : ms < 950 ? `${Math.round(ms / 50) * 50} ms` : `${(ms / 1000).toFixed(1)} s`);
 const since = (ns) => (ns ? new Date(ns / 1e6).toLocaleTimeString() : "");
 
@@ -65,7 +70,7 @@ export function drawSensors(health, verdict) {
       [level ?? "nothing", level ? `${level}-text` : ""],
       [age(sensor.age_ms === null ? null : sensor.age_ms + health.ageMs), "num"],
       [`${sensor.rate_hz.toFixed(0)} Hz`, "num"],
-      [[sensor.reason, input && input.why].filter(Boolean).join(" · ")],
+      [whyOf(sensor.reason, input ? input.why : "")],
     ];
   }));
 }

@@ -1,0 +1,135 @@
+"""Takes the dashboard's pictures again: docs/dashboard.png and docs/states/*.png.
+
+    python docs/screenshots.py
+
+Starts the demo twice on free ports (scenarios ``crossing`` and ``faults``) and photographs the page in headless
+Chromium when the state it waits for is there. Needs a Chromium, `make setup`, and about two minutes.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from browser import CHROMIUM, Browser
+from PIL import Image
+
+DOCS = Path(__file__).parent
+STATES = DOCS / "states"
+WIDTH, HEIGHT = 1400, 1500
+START_S = 120.0
+COLOURS = 256  # of a picture's palette: the page has few, its camera picture survives
+ALARM = "['CAUTION', 'IMMINENT'].includes(document.getElementById('level').textContent)"
+ALL_THERE = "document.querySelectorAll('#services tr').length >= 6 && !document.getElementById('camera').hidden"
+GREEN = "document.getElementById('health').className == 'health green'"
+ALL_SEE = "[...document.querySelectorAll('#sensors tr')].every((row) => row.cells[1].textContent == 'online')"
+STATE = (
+    "[...document.querySelectorAll('#sensors tr')].some((row) => "
+    "row.innerText.startsWith('{sensor}') && row.innerText.includes('{state}'))"
+)
+
+# File, what is waited for, how much of the page from its top.
+OF_CROSSING = (
+    ("verdict-safe", "document.getElementById('level').textContent == 'SAFE' && " + GREEN, 640),
+    ("verdict-caution", "document.getElementById('level').textContent == 'CAUTION' && " + GREEN, 640),
+    ("verdict-imminent", "document.getElementById('level').textContent == 'IMMINENT' && " + GREEN, 640),
+)
+OF_FAULTS = (
+    ("lidar-degraded", STATE.format(sensor="lidar", state="degraded since"), 640),
+    ("lidar-disconnected", STATE.format(sensor="lidar", state="disconnected since"), 640),
+    ("camera-degraded", STATE.format(sensor="camera", state="degraded since"), 640),
+    ("camera-disconnected", STATE.format(sensor="camera", state="disconnected since"), 640),
+)
+
+
+def main() -> None:
+    if CHROMIUM is None:
+        raise SystemExit("no Chromium on this machine")
+    STATES.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as profile:
+        browser = Browser(Path(profile))
+        try:
+            crossing(browser)
+            faults(browser)
+        finally:
+            browser.close()
+
+
+def crossing(browser: Browser) -> None:
+    with demo("crossing") as (process, url):
+        browser.open(url, WIDTH, HEIGHT, dark=True)
+        browser.wait(f"{ALL_THERE} && {GREEN}", START_S)
+        browser.wait(f"{ALARM} && {ALL_SEE} && document.querySelectorAll('#ttc div').length > 0", START_S)
+        take(browser, DOCS / "dashboard.png", HEIGHT, 1.0)
+        photograph(browser, OF_CROSSING)
+        browser.open(url, 390, 844, dark=False)
+        browser.wait(f"{ALL_THERE} && {ALARM}", START_S)
+        take(browser, STATES / "phone-light.png", 844, 1.0, width=390)
+        browser.open(url, WIDTH, HEIGHT, dark=True)
+        browser.wait(ALL_THERE, START_S)
+        process.send_signal(signal.SIGINT)
+        browser.wait("document.body.classList.contains('cut')", START_S)
+        take(browser, STATES / "server-lost.png", 640, 0.5)
+
+
+def faults(browser: Browser) -> None:
+    with demo("faults") as (_, url):
+        browser.open(url, WIDTH, HEIGHT, dark=True)
+        browser.wait(ALL_THERE, START_S)
+        photograph(browser, OF_FAULTS)
+
+
+def photograph(browser: Browser, states: tuple[tuple[str, str, int], ...]) -> None:
+    for name, condition, height in states:
+        browser.wait(condition, START_S)
+        take(browser, STATES / f"{name}.png", height, 0.5)
+
+
+def take(browser: Browser, path: Path, height: int, scale: float, width: int = WIDTH) -> None:
+    """The top of the page, with a small palette so that the repository stays small."""
+    browser.picture(path, width, height, scale)
+    with Image.open(io.BytesIO(path.read_bytes())) as picture:
+        picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+    sys.stdout.write(f"{path.relative_to(DOCS.parent)}  {path.stat().st_size / 1000:.0f} kB\n")
+    sys.stdout.flush()
+
+
+@contextmanager
+def demo(scenario: str) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """The whole demo as a process, and its dashboard's address."""
+    port = free_port()
+    command = [
+        str(Path(sys.executable).with_name("spotter")), "demo", "--scenario", scenario, "--port", str(port),
+        "--listen", f"tcp/127.0.0.1:{free_port()}",
+    ]  # fmt: skip
+    with subprocess.Popen(command, stderr=subprocess.PIPE, env=os.environ) as process:
+        assert process.stderr is not None
+        try:
+            for line in process.stderr:
+                if b"Spotter is up" in line:
+                    break
+            else:
+                raise SystemExit(f"the demo `{scenario}` ended before it was up")
+            threading.Thread(target=process.stderr.read, daemon=True).start()
+            yield process, f"http://127.0.0.1:{port}"
+        finally:
+            process.send_signal(signal.SIGINT)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+if __name__ == "__main__":
+    main()
