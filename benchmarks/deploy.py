@@ -37,6 +37,8 @@ SERVICES = {"pi0": ("radar",), "jetson0": ("lidar", "camera", "fusion"), "infra0
 SPOTTER = str(Path(sys.executable).with_name("spotter"))
 SECONDS = 8.0
 DELAY_S = 0.1
+BULK_PORT = int(os.environ.get("BULK_PORT", "7449"))  # 0: clouds share the link of the tracks
+SETTLE_S = 4.0
 
 
 def main() -> None:
@@ -77,7 +79,12 @@ def print_faults(lab: namespaces.Lab, laptop: Laptop) -> None:
     lab.stop("pi0")
     lab.start("relay", "relay", [sys.executable, "-m", "benchmarks.deploy", "relay", lab.address("pi0")])
     up(lab, "pi0")
-    row(laptop, "pi0 100 ms each way (relay)", "radar", lambda: restart_behind_relay(lab), lambda: None, settle_s=8.0)
+    lab.stop("jetson0")
+    begun_s = time.monotonic()
+    up(lab, "jetson0", "behind.toml")
+    laptop.wait(online("radar"), begun_s)
+    laptop.wait(online("camera"), begun_s)
+    row(laptop, "pi0 100 ms each way (relay)", "radar", lambda: None, lambda: None)
 
 
 def row(
@@ -91,7 +98,7 @@ def row(
     laptop.wait(online(sensor), time.monotonic())
     broken_s = time.monotonic()
     break_it()
-    time.sleep(settle_s)
+    time.sleep(SETTLE_S)
     seen = [line for line in laptop.since(broken_s) if line["kind"] == "health" and line[sensor][0] != "online"]
     mended_s = time.monotonic()
     mend()
@@ -117,13 +124,14 @@ def print_bandwidth(lab: namespaces.Lab, laptop: Laptop) -> None:
             print(
                 f"link of {host:<22}received {received * 8e-6 / SECONDS:.2f}, sent {sent * 8e-6 / SECONDS:.2f} Mbit/s"
             )
-    print("\nthe cloud over a link of 20 Mbit/s at infra0, twice the time")
-    lab.throttle("infra0", 20)
-    begun_s = time.monotonic()
-    lab.run("laptop1", [*words, "points"])
-    states = Counter(line["infra_lidar"][0] for line in laptop.since(begun_s) if line["kind"] == "health")
-    lab.heal("infra0")
-    print(f"infra_lidar in the health messages meanwhile: {dict(states)}")
+    for mbit_s in (20, 10):  # the second is less than the cloud needs
+        lab.throttle("infra0", mbit_s)
+        begun_s = time.monotonic()
+        lab.run("laptop1", [*words, "points"])
+        states = Counter(line["infra_lidar"][0] for line in laptop.since(begun_s) if line["kind"] == "health")
+        lab.heal("infra0")
+        laptop.wait(online("infra_lidar"), time.monotonic())
+        print(f"the cloud over {mbit_s} Mbit/s at infra0: infra_lidar in the health messages {dict(states)}")
 
 
 def make_site(lab: namespaces.Lab) -> None:
@@ -132,7 +140,7 @@ def make_site(lab: namespaces.Lab) -> None:
         lines = []
         for host, services in SERVICES.items():
             address = pi_address if host == "pi0" else lab.address(host)
-            lines += [f"[hosts.{host}]", f'address = "{address}"']
+            lines += [f"[hosts.{host}]", f'address = "{address}"', f"bulk_port = {BULK_PORT}"]
             lines += [f"[hosts.{host}.services.{one}]" for one in services]
         (lab.folder / name).write_text("\n".join(lines) + "\n")
     for host in SERVICES:
@@ -151,11 +159,6 @@ def up(lab: namespaces.Lab, host: str, site: str = "site.toml") -> None:
         str(lab.folder / site),
     ]
     lab.start(host, host, words)
-
-
-def restart_behind_relay(lab: namespaces.Lab) -> None:
-    lab.stop("jetson0")
-    up(lab, "jetson0", "behind.toml")
 
 
 def kill(lab: namespaces.Lab, host: str) -> None:
@@ -276,7 +279,7 @@ async def relay(target: str) -> None:
 
         await (await asyncio.start_server(accept, "0.0.0.0", port)).serve_forever()
 
-    await serve(7448)
+    await asyncio.gather(*(serve(port) for port in (7448, BULK_PORT) if port))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,137 @@
+"""What doctor finds, and that each finding says what to do."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import shutil
+import socket
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from typer.testing import CliRunner
+
+from common.cli.__main__ import app
+from common.doctor.certificates import check_certificate
+from common.doctor.findings import Finding
+from common.doctor.machine import check_device, check_machine, check_ports, check_services
+from common.security import authority
+from common.site import HostConfig, Site, TlsConfig
+from common.supervisor import Child
+
+
+def grades(found: Iterable[Finding]) -> dict[str, str]:
+    listed = list(found)
+    assert all(finding.do for finding in listed if finding.grade != "ok")
+    return {finding.check: finding.grade for finding in listed}
+
+
+@pytest.fixture
+def own_keys(keys: Path, tmp_path: Path) -> Path:
+    """A copy that a test may spoil."""
+    return Path(shutil.copytree(keys, tmp_path / "keys"))
+
+
+def test_good_certificates_are_good(own_keys: Path) -> None:
+    found = grades(check_certificate(Site(), "pi0", own_keys))
+    assert found == {"certificate expiry": "ok", "names": "ok"}
+
+
+def test_the_open_mode_is_a_warning(tmp_path: Path) -> None:
+    assert grades(check_certificate(Site(tls=TlsConfig(enabled=False)), "pi0", tmp_path)) == {"tls": "warning"}
+
+
+def test_a_missing_certificate_is_broken(tmp_path: Path) -> None:
+    assert grades(check_certificate(Site(), "pi0", tmp_path)) == {"certificate": "broken"}
+
+
+def test_a_key_that_others_can_read_is_broken(own_keys: Path) -> None:
+    (own_keys / "pi0.key").chmod(0o644)
+    assert grades(check_certificate(Site(), "pi0", own_keys))["private key"] == "broken"
+
+
+def test_a_key_of_another_certificate_is_broken(own_keys: Path) -> None:
+    shutil.copy(own_keys / "jetson0.key", own_keys / "pi0.key")
+    assert grades(check_certificate(Site(), "pi0", own_keys)) == {"certificate": "broken"}
+
+
+def test_a_certificate_of_another_authority_is_broken(own_keys: Path, tmp_path: Path) -> None:
+    authority.init(tmp_path / "other", "elsewhere")
+    shutil.copy(tmp_path / "other" / "ca.crt", own_keys / "ca.crt")
+    assert grades(check_certificate(Site(), "pi0", own_keys)) == {"certificate": "broken"}
+
+
+def test_a_certificate_that_ends_soon_is_a_warning(own_keys: Path) -> None:
+    authority.issue(own_keys, "pi0", "host", days=5)
+    assert grades(check_certificate(Site(), "pi0", own_keys))["certificate expiry"] == "warning"
+
+
+def test_an_expired_certificate_is_broken(own_keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    original, past = x509.CertificateBuilder.not_valid_after, dt.datetime.now(dt.UTC) - dt.timedelta(hours=1)
+    monkeypatch.setattr(x509.CertificateBuilder, "not_valid_after", lambda self, _: original(self, past))
+    authority.issue(own_keys, "pi0", "host")
+    assert grades(check_certificate(Site(), "pi0", own_keys)) == {"certificate": "broken"}
+
+
+def test_a_revoked_name_is_broken_until_it_is_issued_again(own_keys: Path) -> None:
+    authority.revoke(own_keys, "pi0")
+    assert grades(check_certificate(Site(), "pi0", own_keys))["names"] == "broken"
+    authority.issue(own_keys, "pi0", "host")
+    assert grades(check_certificate(Site(), "pi0", own_keys))["names"] == "ok"
+
+
+def test_an_old_register_is_broken(own_keys: Path) -> None:
+    (own_keys / "names.json").write_text("{}")
+    assert grades(check_certificate(Site(), "pi0", own_keys))["names"] == "broken"
+    (own_keys / "names.json").write_text("not ours")
+    assert grades(check_certificate(Site(), "pi0", own_keys))["names"] == "broken"
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [("serial:/dev/nothing-here", "broken"), ("serial:/dev/null", "ok"), ("spi:9.9", "broken"), ("v4l2:99", "broken")],
+)
+def test_devices(source: str, expected: str) -> None:
+    assert grades(check_device("lidar", source)) == {"lidar device": expected}
+
+
+@pytest.mark.parametrize("source", ["sim:crossing", "spi:emulator", "ouster://10.0.0.9", ""])
+def test_a_source_without_a_device_file_is_not_looked_for(source: str) -> None:
+    assert grades(check_device("radar", source)) == {}
+
+
+def test_a_service_with_a_wrong_key_is_named(tmp_path: Path) -> None:
+    program = tmp_path / "spotter-radar"
+    program.write_text("#!/bin/sh\necho 'spotter: radar.toml: [cfar] x = 1: no such key' >&2\nexit 2\n")
+    program.chmod(0o755)
+    (finding,) = check_services([Child("router", ["x"]), Child("radar", [str(program)])])
+    assert finding.grade == "broken"
+    assert finding.what == "radar.toml: [cfar] x = 1: no such key"
+
+
+def test_a_service_that_is_not_installed_is_named() -> None:
+    assert grades(check_services([Child("radar", ["/nowhere/spotter-radar"])])) == {"radar program": "broken"}
+
+
+def test_ports(free_ports: Callable[[], int]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        host = HostConfig(local_port=listener.getsockname()[1], port=free_ports())
+        found = grades(check_ports(Site(hosts={"pi0": host}), "pi0"))
+    assert found == {"pi0 local_port": "ok", "pi0 port": "broken"}
+
+
+def test_the_machine_is_looked_at(tmp_path: Path) -> None:
+    found = grades(check_machine(tmp_path))
+    assert set(found) == {"disk", "clock", "versions"}
+
+
+def test_the_command_ends_with_1_when_something_is_broken(tmp_path: Path, free_ports: Callable[[], int]) -> None:
+    site = tmp_path / "site.toml"
+    site.write_text(f"[hosts.pi0]\nlocal_port = {free_ports()}\nport = {free_ports()}\n")
+    result = CliRunner().invoke(app, ["doctor", "pi0", "--site", str(site), "--json"])
+    found = [json.loads(line) for line in result.output.splitlines()]
+    assert result.exit_code == 1
+    assert {"own router", "certificate", "pi0 port"} <= {row["check"] for row in found if row["grade"] == "broken"}
+    assert CliRunner().invoke(app, ["doctor", "pi9", "--site", str(site)]).exit_code == 2
