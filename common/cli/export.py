@@ -43,7 +43,12 @@ def export(
     if write is None:
         fail(f"{out}: expected a name that ends with .csv or .parquet", code=2)
     counts: Counter[str] = Counter()
-    write(out, columns(chosen), _counted(_rows(file, chosen), counts))
+    partial = out.with_name(f".{out.name}.part")  # OUT appears whole or not at all
+    try:
+        write(partial, columns(chosen), _counted(_rows(file, chosen), counts))
+        partial.replace(out)
+    finally:
+        partial.unlink(missing_ok=True)
     if as_json:
         print(json.dumps({"file": str(out), "rows": dict(counts)}))
     else:

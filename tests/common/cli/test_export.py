@@ -83,6 +83,7 @@ def test_a_damaged_recording_is_refused(recording: Path, tmp_path: Path) -> None
     result = runner.invoke(app, ["export", str(path), str(tmp_path / "out.csv")])
     assert result.exit_code == 1
     assert "damaged" in result.output
+    assert [one.name for one in tmp_path.iterdir()] == ["damaged.mcap"]  # no half a table either
 
 
 def test_parquet_has_types_or_says_what_is_missing(recording: Path, tmp_path: Path) -> None:
