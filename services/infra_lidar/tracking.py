@@ -23,6 +23,9 @@ from services.infra_lidar.tracking_shape import judge_movement, note_places, pie
 
 assert set(LABELS) == set(get_args(ObjectLabel))
 
+_JUDGED_NS = 1_200_000_000  # known for this long, even what is seen every other frame would have shown that it moves
+_DRIFT_NS = 200_000_000  # a younger one goes on for so long on the little that is known
+
 
 @dataclass(frozen=True)
 class Detections:
@@ -114,10 +117,16 @@ class MultiObjectTracker:
         self._stamp_ns = stamp_ns
         self._frame += 1
         self._ring_ns[self._frame % TRAIL] = stamp_ns
+        self._stop_standing()
         self._tracks["detection"] = -1
-        standing = (self._tracks["seen_ns"] < stamp_ns - int(2e8)) & ~self._tracks["moving"]
-        self._tracks["mean"][standing, 3:] = 0.0  # what stood when it was lost does not drift
         predict(self._tracks, self._dt_s, self._config.acceleration_sigma)
+
+    def _stop_standing(self) -> None:
+        """What was missed, and stood as far as anybody can tell, does not drift on with the noise of its velocity."""
+        t = self._tracks
+        judged = t["seen_ns"] - t["born_ns"] >= _JUDGED_NS
+        lost = (t["detection"] < 0) & (judged | (self._stamp_ns - t["seen_ns"] > _DRIFT_NS))
+        t["mean"][lost & ~t["moving"], 3:] = 0.0
 
     def _costs(self, position: np.ndarray, size: np.ndarray, yaw: np.ndarray, chances: np.ndarray) -> np.ndarray:
         c = self._config
@@ -178,7 +187,7 @@ class MultiObjectTracker:
         new["cov"] = np.diag([plane, plane, height, speed, speed, 1.0])
         new["votes"], new["points"], new["detection"] = chances[free], points[free], free
         new["born_ns"] = new["seen_ns"] = self._stamp_ns
-        new["hits"], new["run"], new["frames"] = 1, 1, 1
+        new["hits"], new["run"], new["frames"], new["presence"] = 1, 1, 1, 1.0
         new["confirmed"] = c.confirm_hits <= 1 and c.confirm_s <= 0.0
         note_places(new, self._frame % TRAIL)
         new["score"] = np.clip(np.asarray(detections.confidence, np.float64)[free], 0.0, 1.0) * 0.5

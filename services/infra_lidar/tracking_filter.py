@@ -29,6 +29,7 @@ TRACK = np.dtype(
         ("seen_ns", np.int64),
         ("hits", np.int64),
         ("run", np.int64),  # hits without a miss in between
+        ("presence", np.float64),  # share of the last frames with a hit, running mean
         ("confirmed", np.bool_),
         ("moving", np.bool_),
         ("score", np.float64),

@@ -4,8 +4,9 @@ Movement. The velocity of a filter is never exactly 0, least of all for a bush w
 turn. So a track counts as standing, and reports velocity 0, until a detection shows that its edges have come far enough
 from where they were ``movement_s`` ago: farther than ``movement_m`` plus what the visible extent usually differs by,
 and than three sigma of the position, after at least six detections (four in a row if twice as far), on a way that is
-straight (net displacement over 60 % of the path) and no single jump (no step over 60 % of it). Once moving it stays so
-until the displacement falls under half of that.
+straight (net displacement over 60 % of the path) and no single jump (no step over 60 % of it), seen in about every
+second frame or more: in between there is only a prediction. Once moving it stays so until the displacement falls under
+half of that.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from services.infra_lidar.tracking_filter import TRAIL, correct, edge_shift, ext
 
 _SAME_CLASS = 0.3  # chance of being of one class from which on a piece may belong to a whole
 _BREAKABLE_M2 = 2.0  # a vehicle may fall apart into pieces; two people who part are two people
+_MIN_PRESENCE = 0.45
 _HEADING_MPS = 1.5  # from this speed on the heading is where the track goes
 _jit = njit(nogil=True, cache=True, error_model="numpy")
 
@@ -134,6 +136,7 @@ def judge_movement(tracks: np.ndarray, slot: int, back: int, movement_m: float) 
         steps = min(back, track.frames, TRAIL - 1)
         track.frames += 1
         track.run = track.run + 1 if track.detection >= 0 else 0
+        track.presence += 0.25 * ((track.detection >= 0) - track.presence)
         if steps < 3 or max(track.run, track.hits - 2) < 4 or track.detection < 0:
             continue
         path = largest = 0.0
@@ -148,7 +151,8 @@ def judge_movement(tracks: np.ndarray, slot: int, back: int, movement_m: float) 
         else:
             sure = steps >= 5 and track.hits >= 6
             far = net > needed if sure else net > 2.0 * needed
-            track.moving = far and net > 0.6 * path and largest < 0.6 * net
+            straight = net > 0.6 * path and largest < 0.6 * net
+            track.moving = far and straight and track.presence > _MIN_PRESENCE
 
 
 @_jit

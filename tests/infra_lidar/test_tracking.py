@@ -61,6 +61,12 @@ def test_an_object_seen_every_other_frame_is_tracked() -> None:
     assert len({track.track_id for tracks in out for track in tracks}) == 1
 
 
+def test_an_object_that_goes_and_is_seen_every_other_frame_is_moving() -> None:
+    out = run([detections((0.8 * i, 0.0)) if i % 2 == 0 else detections() for i in range(21)])
+    assert len({track.track_id for tracks in out for track in tracks}) == 1
+    assert out[-1][0].velocity_mps[0] == pytest.approx(8.0, abs=0.5)
+
+
 def test_coasting_is_flagged_and_ends_after_its_time() -> None:
     config = TrackingConfig(coast_s=0.6)
     out = run([detections((0.8 * i, 0.0)) for i in range(10)] + [detections()] * 10, config)
