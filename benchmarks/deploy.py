@@ -37,7 +37,6 @@ SERVICES = {"pi0": ("radar",), "jetson0": ("lidar", "camera", "fusion"), "infra0
 SPOTTER = str(Path(sys.executable).with_name("spotter"))
 SECONDS = 8.0
 DELAY_S = 0.1
-BULK_PORT = int(os.environ.get("BULK_PORT", "7449"))  # 0: clouds share the link of the tracks
 SETTLE_S = 4.0
 
 
@@ -140,7 +139,7 @@ def make_site(lab: namespaces.Lab) -> None:
         lines = []
         for host, services in SERVICES.items():
             address = pi_address if host == "pi0" else lab.address(host)
-            lines += [f"[hosts.{host}]", f'address = "{address}"', f"bulk_port = {BULK_PORT}"]
+            lines += [f"[hosts.{host}]", f'address = "{address}"']
             lines += [f"[hosts.{host}.services.{one}]" for one in services]
         (lab.folder / name).write_text("\n".join(lines) + "\n")
     for host in SERVICES:
@@ -254,7 +253,7 @@ def as_laptop(folder: Path) -> zenoh.Session:
 
 
 async def relay(target: str) -> None:
-    """Forward both ports with a delay in each direction: this kernel has no netem."""
+    """Forward with a delay in each direction: this kernel has no netem."""
 
     async def pump(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
         waiting: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue()
@@ -279,7 +278,7 @@ async def relay(target: str) -> None:
 
         await (await asyncio.start_server(accept, "0.0.0.0", port)).serve_forever()
 
-    await asyncio.gather(*(serve(port) for port in (7448, BULK_PORT) if port))
+    await serve(7448)
 
 
 if __name__ == "__main__":

@@ -40,7 +40,6 @@ class HostConfig(Section, frozen=True, kw_only=True):
 
     address: str = "127.0.0.1"
     port: Port = 7448  # the other hosts' routers and laptops; TLS
-    bulk_port: Annotated[int, Meta(ge=0, le=65535)] = 0  # between routers: clouds and images on a link of their own
     local_port: Port = 7447  # this host's own services, plain TCP on loopback only
     listen: str = ""  # where to bind, if not on ``address``
     services: dict[Chunk, ServicePlace] = msgspec.field(default_factory=dict)
@@ -55,7 +54,7 @@ def _one_machine() -> dict[str, HostConfig]:
     hosts = {}
     for host, port in ports.items():
         services = {row.name: ServicePlace() for row in SERVICES if row.host == host}
-        hosts[host] = HostConfig(local_port=port, port=port + 1, bulk_port=port + 2, services=services)
+        hosts[host] = HostConfig(local_port=port, port=port + 1, services=services)
     return hosts
 
 
@@ -75,9 +74,9 @@ class Site(Section, frozen=True, kw_only=True):
                 except KeyError as error:
                     raise ValueError(f"[hosts.{name}.services.{service}]: {error.args[0]}") from None
             loopback = host.address if host.address == "127.0.0.1" else f"loopback of {host.address}"
-            for key, address in (("port", host.address), ("bulk_port", host.address), ("local_port", loopback)):
+            for key, address in (("port", host.address), ("local_port", loopback)):
                 port, where = getattr(host, key), f"[hosts.{name}] {key}"
-                taken = places.setdefault((address, port), where) if port else where
+                taken = places.setdefault((address, port), where)
                 if taken != where:
                     raise ValueError(f"{where} = {port}: already used by {taken} on {address}")
 

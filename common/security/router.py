@@ -10,9 +10,8 @@ from msgspec.structs import replace
 from common.config import ConfigError, ZenohConfig
 from common.security.names import read_names
 from common.security.rules import access_rules
-from common.site import HostConfig, Site
-
-URGENT, BULK = "prio=1-5", "prio=6-7"  # Zenoh priorities: data_low and background are bulk
+from common.site import Site
+from common.topics import DATA_TOPICS
 
 
 def router_config(site: Site, host: str, keys: Path) -> ZenohConfig:
@@ -25,16 +24,16 @@ def router_config(site: Site, host: str, keys: Path) -> ZenohConfig:
     """
     own = site.host(host)
     earlier = list(site.hosts)[: list(site.hosts).index(host)]
-    listen = (own.loopback, *_listeners(site, own))
-    connect = tuple(endpoint for name in earlier for endpoint in _endpoints(site, site.host(name), own))
+    where = f"{'tls' if site.tls.enabled else 'tcp'}/{own.listen or own.address}:{own.port}"
+    listen, connect = (own.loopback, where), tuple(site.endpoint(name) for name in earlier)
     extra: dict[str, Any] = {
-        "transport/unicast/max_links": 2,
         "listen/timeout_ms": -1,  # an address that is not there yet at boot is bound when it comes
         "listen/exit_on_failure": False,
     }
     if not site.tls.enabled:
         return ZenohConfig(mode="router", namespace="", listen=listen, connect=connect, extra=extra)
     extra["access_control"] = access_rules(site, host, read_names(keys))
+    extra["downsampling"] = _downsampling(site)
     extra["transport/link/tls/close_link_on_expiration"] = True
     return with_certificate(
         ZenohConfig(mode="router", namespace="", listen=listen, connect=connect, extra=extra), keys, host
@@ -73,17 +72,11 @@ def with_certificate(config: ZenohConfig, keys: Path, name: str) -> ZenohConfig:
     return replace(config, **{key: str(path) for key, path in files.items()})
 
 
-def _listeners(site: Site, host: HostConfig) -> list[str]:
-    where, protocol = host.listen or host.address, "tls" if site.tls.enabled else "tcp"
-    listeners = [f"{protocol}/{where}:{host.port}"]
-    if host.bulk_port:
-        listeners.append(f"{protocol}/{where}:{host.bulk_port}?{BULK}")
-    return listeners
-
-
-def _endpoints(site: Site, host: HostConfig, own: HostConfig) -> list[str]:
-    protocol = "tls" if site.tls.enabled else "tcp"
-    endpoints = [f"{protocol}/{host.address}:{host.port}"]
-    if host.bulk_port and own.bulk_port:
-        endpoints.append(f"{protocol}/{host.address}:{host.bulk_port}?{BULK}")
-    return endpoints
+def _downsampling(site: Site) -> list[dict[str, Any]]:
+    """Clouds and pictures leave a host at their nominal rate at most, however fast they are made."""
+    rules = [
+        {"key_expr": f"{site.namespace}/{topic.any_host}", "freq": topic.nominal_hz}
+        for topic in DATA_TOPICS
+        if topic.priority == "data_low"
+    ]
+    return [{"id": "bulk", "link_protocols": ["tls"], "messages": ["put"], "flows": ["egress"], "rules": rules}]

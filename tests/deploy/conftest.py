@@ -14,9 +14,7 @@ from common.site import HostConfig, ServicePlace, Site
 def make_site(free: Callable[[], int], **services: tuple[str, ...]) -> Site:
     """Hosts with these services, on loopback and free ports."""
     hosts = {
-        host: HostConfig(
-            local_port=free(), port=free(), bulk_port=free(), services={name: ServicePlace() for name in names}
-        )
+        host: HostConfig(local_port=free(), port=free(), services={name: ServicePlace() for name in names})
         for host, names in services.items()
     }
     return Site(hosts=hosts)

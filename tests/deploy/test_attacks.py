@@ -85,7 +85,7 @@ def yard(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Yard]:
     for host, services in HOSTS.items():
         authority.issue(folder, host, "host", ("127.0.0.1",))
         places = {service: ServicePlace() for service in services}
-        hosts[host] = HostConfig(local_port=free(), port=free(), bulk_port=free(), services=places)
+        hosts[host] = HostConfig(local_port=free(), port=free(), services=places)
     authority.issue(folder, "laptop1", "laptop")
     authority.issue(folder, "thief", "laptop")
     authority.revoke(folder, "thief")

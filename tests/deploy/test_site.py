@@ -79,7 +79,7 @@ def test_fusion_and_dashboard_are_told_where_the_others_run() -> None:
         ("[hosts.pi0]\nadress = '1.2.3.4'\n", "did you mean 'address'"),
         ("[hosts.pi0.services.rader]\n", "no service 'rader'"),
         ("[hosts.'Pi 0']\n", "Pi 0"),
-        ("[hosts.pi0]\nport = 7448\nbulk_port = 7448\n", "already used by"),
+        ("[hosts.pi0]\nport = 7448\nlocal_port = 7448\n", "already used by"),
         ("[hosts.pi0]\nport = 70000\n", "<= 65535"),
         ("[hosts.a]\nport = 1\nlocal_port = 5\n[hosts.b]\nport = 2\nlocal_port = 5\n", "local_port = 5: already used"),
         ("[tls]\nenable = false\n", "did you mean 'enabled'"),

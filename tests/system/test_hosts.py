@@ -51,6 +51,28 @@ while True:
 """
 
 
+# An authorised laptop that tells lies: an imminent radar track, a verdict, a token, and all of it very often.
+ATTACK = """
+import sys, zenoh
+from pathlib import Path
+from common.codec import encode
+from common.messages import RadarTracks
+from common.security.router import laptop_config
+from common.session import open_session
+from common.site import load_site
+folder = Path(sys.argv[1])
+session = open_session(laptop_config(load_site(folder / "site.toml"), "laptop1", folder / "keys", "jetson0"))
+lie = encode(RadarTracks(stamp_ns=2**62, tracks=[], level="IMMINENT", settled=True, noise_floor_db=0.0))
+token = session.liveliness().declare_token("pi0/radar/alive/liar")
+for _ in range(20_000):
+    session.put("pi0/radar/tracks", lie)
+    session.put("jetson0/fusion/verdict", lie, priority=zenoh.Priority.REAL_TIME)
+for size in (0, 10, 5_000_000):
+    session.put("jetson0/lidar/zones", bytes(size))
+session.close()
+"""
+
+
 class Told:
     """What the laptop heard, in order."""
 
@@ -148,6 +170,18 @@ def test_a_late_host_joins_and_the_verdict_is_there_all_along(told: Told) -> Non
     online_s = told.wait(state("radar", "online"))
     assert first_s < online_s
     assert verdicts_hz(told, online_s - 1.0, online_s) > 10.0
+
+
+def test_a_lying_laptop_changes_nothing(lab: namespaces.Lab, told: Told) -> None:
+    begun_s = told.wait(lambda line: line["kind"] == "health" and line["camera"][0] == "online")
+    begun_s = max(begun_s, time.monotonic() - 1.0)
+    before = {(v["level"], v["rule"]) for v in told.between(begun_s, time.monotonic()) if v["kind"] == "verdict"}
+    attacked = lab.run("laptop1", [sys.executable, "-c", ATTACK, str(lab.folder)])
+    assert attacked.returncode == 0, attacked.stderr
+    heard_s = told.wait(state("radar", "online"), time.monotonic())
+    meanwhile = told.between(begun_s, heard_s)
+    assert {(v["level"], v["rule"]) for v in meanwhile if v["kind"] == "verdict"} == before
+    assert {tuple(h["radar"]) for h in meanwhile if h["kind"] == "health"} == {("online", "")}
 
 
 def test_a_cut_link_is_seen_and_the_vehicle_goes_on(lab: namespaces.Lab, told: Told) -> None:
