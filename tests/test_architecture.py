@@ -85,7 +85,7 @@ def imported_by(path: Path) -> set[str]:
             names |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
             names.add(node.module.split(".")[0])
-    return names - set(sys.stdlib_module_names) - {"common", "services", "__future__"}
+    return names - set(sys.stdlib_module_names) - {"common", "services", "spotter_client", "__future__"}
 
 
 def our_files() -> list[str]:
@@ -156,7 +156,7 @@ def test_a_service_starts_with_its_own_extra_alone(start: str, extra: str | None
                 else [node.module] if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module
                 else []
             )
-        } - set(sys.stdlib_module_names) - {"common", "services"}  # fmt: skip
+        } - set(sys.stdlib_module_names) - {"common", "services", "spotter_client"}  # fmt: skip
         undeclared = {DISTRIBUTION_OF.get(name, name) for name in top_level} - declared
         assert not undeclared, f"{start} needs {path}, which imports {sorted(undeclared)} when it is loaded"
 
@@ -164,7 +164,7 @@ def test_a_service_starts_with_its_own_extra_alone(start: str, extra: str | None
 def test_nobody_else_owns_our_names() -> None:
     """``common`` and ``services`` are generic names: fail as soon as another distribution installs one of them."""
     owners = importlib.metadata.packages_distributions()
-    for name in ("common", "services"):
+    for name in ("common", "services", "spotter_client"):
         assert set(owners.get(name, ["spotter"])) == {"spotter"}
 
 
