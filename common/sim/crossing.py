@@ -68,7 +68,7 @@ def street_traffic() -> list[Player]:
     """Cars, a bus and cyclists drive past under the pole; pedestrians walk round and cross."""
     cast = _stream(10, "car", lane_x_m=15.7, yaw_rad=NORTH, speed_mps=13.4, first_y_m=-104.0)
     cast += _stream(20, "car", lane_x_m=12.2, yaw_rad=SOUTH, speed_mps=12.0, first_y_m=70.0)
-    cast += _stream(30, "bus", lane_x_m=15.7, yaw_rad=NORTH, speed_mps=8.0, first_y_m=-45.0)
+    cast += _stream(30, "bus", lane_x_m=15.7, yaw_rad=NORTH, speed_mps=8.0, first_y_m=-2.0)
     cast += _stream(40, "cyclist", lane_x_m=17.6, yaw_rad=NORTH, speed_mps=4.6, first_y_m=-30.0)
     cast += _stream(50, "cyclist", lane_x_m=10.4, yaw_rad=SOUTH, speed_mps=5.2, first_y_m=20.0)
     for i, (y, turn, phase) in enumerate(((6.0, 1.0, 0.0), (14.5, -1.0, 0.3), (27.0, 1.0, 0.1))):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -95,3 +95,13 @@ def test_pole_looks_down_and_keeps_left_at_left():
     assert forward[2] < -0.2
     assert forward[1] > 0.9  # along the street
     assert left[0] < -0.9  # the yard is at its left
+
+
+@pytest.mark.parametrize("t_s", np.arange(0.0, 15.0, 0.25).tolist())
+def test_nobody_drives_through_anybody(t_s):
+    """Boxes on the visible part of the street and in the yard stay apart."""
+    actors = [actor for actor in world_at("crossing", t_s).actors if abs(actor.position_m[1]) < 95.0]
+    for one, other in combinations(actors, 2):
+        apart = one.T_map_body[:2, :2].T @ (other.position_m - one.position_m)[:2]
+        touching = np.abs(apart) < 0.5 * (np.array(one.size_m[:2]) + np.array(other.size_m[:2]))
+        assert not touching.all(), f"{one.kind} {one.actor_id} and {other.kind} {other.actor_id}"
