@@ -23,8 +23,7 @@ from services.infra_lidar.tracking_shape import judge_movement, note_places, pie
 
 assert set(LABELS) == set(get_args(ObjectLabel))
 
-_JUDGED_NS = 1_200_000_000  # known for this long, even what is seen every other frame would have shown that it moves
-_DRIFT_NS = 200_000_000  # a younger one goes on for so long on the little that is known
+_DRIFT_NS = 200_000_000  # for so long a lost track goes on with what is known of its velocity, moving or not
 
 
 @dataclass(frozen=True)
@@ -122,10 +121,9 @@ class MultiObjectTracker:
         predict(self._tracks, self._dt_s, self._config.acceleration_sigma)
 
     def _stop_standing(self) -> None:
-        """What was missed, and stood as far as anybody can tell, does not drift on with the noise of its velocity."""
+        """What stood as far as anybody can tell, and is lost, does not drift on with the noise of its velocity."""
         t = self._tracks
-        judged = t["seen_ns"] - t["born_ns"] >= _JUDGED_NS
-        lost = (t["detection"] < 0) & (judged | (self._stamp_ns - t["seen_ns"] > _DRIFT_NS))
+        lost = self._stamp_ns - t["seen_ns"] > _DRIFT_NS
         t["mean"][lost & ~t["moving"], 3:] = 0.0
 
     def _costs(self, position: np.ndarray, size: np.ndarray, yaw: np.ndarray, chances: np.ndarray) -> np.ndarray:
