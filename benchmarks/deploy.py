@@ -1,6 +1,6 @@
 """A whole site in network namespaces: time to notice and to recover per broken link, and bytes per topic and host.
 
-    python -m benchmarks.deploy            # needs root; about three minutes
+    python -m benchmarks.deploy            # needs root; about four minutes
 
 Real services on simulated sensors, TLS and access rules on; pi0, jetson0 and infra0 with a laptop at jetson0's router.
 """
@@ -18,6 +18,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ from common.site import load_site
 
 HOSTS = ("pi0", "jetson0", "infra0", "laptop1", "relay")
 SERVICES = {"pi0": ("radar",), "jetson0": ("lidar", "camera", "fusion"), "infra0": ("infra_lidar",)}
+SENSORS = ("radar", "lidar", "camera", "infra_lidar")
 SPOTTER = str(Path(sys.executable).with_name("spotter"))
 SECONDS = 8.0
 DELAY_S = 0.1
@@ -55,8 +57,23 @@ def main() -> None:
         laptop.wait(online("radar"))
         laptop.wait(online("infra_lidar"), budget_s=150.0)
         print(f"start to first verdict at the laptop {verdict_s:.1f} s")
+        print_boot_orders(lab, laptop)
         print_faults(lab, laptop)
         print_bandwidth(lab, laptop)
+
+
+def print_boot_orders(lab: namespaces.Lab, laptop: Laptop) -> None:
+    """Stop all three hosts and start them a second apart, in every order."""
+    print(f"\n{'boot order':<34}{'all online after s'}")
+    for order in permutations(SERVICES):
+        for host in SERVICES:
+            lab.stop(host)
+        begun_s = time.monotonic()
+        for host in order:
+            up(lab, host)
+            time.sleep(1.0)
+        online_s = max(laptop.wait(online(sensor), begun_s, 120.0) for sensor in SENSORS)
+        print(f"{', '.join(order):<34}{online_s - begun_s:.1f}", flush=True)
 
 
 def print_faults(lab: namespaces.Lab, laptop: Laptop) -> None:
