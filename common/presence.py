@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection
 
 import zenoh
 
+from common.session import undeclare
 from common.topics import ANY_TOKEN, parse_token
 
 Instance = tuple[str, str, str]  # host, service, instance
@@ -53,7 +54,7 @@ class Presence:
             return {i for i in self._alive if host in (None, i[0]) and service in (None, i[1])}
 
     def close(self) -> None:
-        self._subscriber.undeclare()
+        undeclare(self._subscriber)
 
     def _receive(self) -> None:
         try:

@@ -11,6 +11,7 @@ import zenoh
 from common.clock import monotonic_s, utc_ns
 from common.codec import DecodeError, decode, encode, encoding_of
 from common.messages import Message
+from common.session import undeclare
 from common.status import Report
 from common.topics import Topic
 
@@ -137,7 +138,7 @@ class Latest(Generic[M]):
         return taken
 
     def close(self) -> None:
-        self._subscriber.undeclare()
+        undeclare(self._subscriber)
 
     def _receive(self) -> None:
         try:

@@ -7,6 +7,7 @@ import logging
 import os
 import re
 import threading
+import time
 from typing import Any
 
 import zenoh
@@ -16,6 +17,8 @@ from common.config import ConfigError, ZenohConfig
 log = logging.getLogger("zenoh")
 
 OPEN_ATTEMPT_MS = 500  # open() ignores signals while it waits, so it waits briefly and often
+UNDECLARE_ATTEMPTS = 200
+UNDECLARE_PAUSE_S = 0.002
 CLOSE_BUDGET_S = 0.7  # close() during a network cut takes 10 s; nobody waits for that
 
 
@@ -112,6 +115,18 @@ def open_session(config: ZenohConfig, *, give_up_after_s: float | None = None) -
                 raise ConnectionError(
                     f"no router answers at {', '.join(config.connect)}; is `spotter router` or `spotter demo` running?"
                 ) from None
+
+
+def undeclare(subscriber: Any) -> None:
+    """End a subscription that another thread iterates: Zenoh refuses at the moments in which that thread holds it."""
+    for _ in range(UNDECLARE_ATTEMPTS):
+        try:
+            subscriber.undeclare()
+            return
+        except RuntimeError:  # "Already borrowed"
+            time.sleep(UNDECLARE_PAUSE_S)
+        except zenoh.ZError:
+            return  # the session is closed: so is the subscription
 
 
 def plain(error: zenoh.ZError) -> str:

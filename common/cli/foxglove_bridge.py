@@ -17,6 +17,7 @@ from common.codec import DecodeError, decode, to_builtins
 from common.messages import Message
 from common.recording.foxglove import convert, static_transforms
 from common.recording.schemas import json_schema, schema_name
+from common.session import undeclare
 from common.topics import CAMERA_IMAGE, DATA_TOPICS, INFRA_POINTS, find_topic, service_row, status_topic
 
 BACKLOG = 256  # messages that wait for a slow Foxglove before the oldest is dropped
@@ -32,7 +33,10 @@ class Bridge(ServerListener):
 
     def __init__(self, session: zenoh.Session, address: str, port: int) -> None:
         self._session = session
-        self._lock = threading.Lock()
+        self._lock = threading.Lock()  # of the channels
+        self._looking = (
+            threading.Lock()
+        )  # of the lookers: a callback must never wait for a channel being made
         self._channels: dict[str, Channel] = {}
         self._lookers: dict[str, int] = {}
         self._on_demand: dict[str, zenoh.Subscriber] = {}
@@ -53,7 +57,7 @@ class Bridge(ServerListener):
     def close(self) -> None:
         self._stop.set()
         for subscriber in (*self._subscribers, *self._on_demand.values()):
-            subscriber.undeclare()
+            undeclare(subscriber)
         self._server.stop()
 
     def on_subscribe(self, client: Any, channel: Any) -> None:
@@ -68,13 +72,13 @@ class Bridge(ServerListener):
         topic = find_topic(key)
         if topic is None or not topic.on_demand:
             return
-        with self._lock:
+        with self._looking:
             count = self._lookers[key] = max(0, self._lookers.get(key, 0) + lookers)
             gone = self._on_demand.pop(key, None) if not count else None
             if count and key not in self._on_demand:
                 self._on_demand[key] = self._subscribe(key)
         if gone is not None:
-            gone.undeclare()
+            undeclare(gone)
 
     def _subscribe(self, key: str) -> zenoh.Subscriber:
         subscriber = self._session.declare_subscriber(key, zenoh.handlers.RingChannel(RING))

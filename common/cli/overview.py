@@ -20,6 +20,7 @@ from common.clock import monotonic_s
 from common.codec import DecodeError, decode
 from common.messages import SensorState, ServiceState, ServiceStatus, SystemHealth, Verdict
 from common.presence import Presence
+from common.session import undeclare
 from common.topics import DATA_TOPICS, FUSION_VERDICT, find_topic, status_topic
 
 RATE_WINDOW_S = 3.0
@@ -128,7 +129,7 @@ class Observer:
     def close(self) -> None:
         self._presence.close()
         for subscriber in self._subscribers:
-            subscriber.undeclare()
+            undeclare(subscriber)
 
     def complete(self) -> bool:
         """Whether everybody who is there has told a status, and, where fusion is there, a verdict has come."""

@@ -21,7 +21,7 @@ from common.clock import monotonic_s
 from common.config import ServiceConfig, ZenohConfig
 from common.drill.plan import Fault
 from common.runtime import Service
-from common.session import close_session, open_session
+from common.session import close_session, open_session, undeclare
 from common.topics import Topic
 
 UPSTREAM = "drill_upstream"  # the namespace into which the real service publishes meanwhile
@@ -119,7 +119,7 @@ class StandIn:
         with self._wake:
             self._stopped = True
             self._wake.notify_all()
-        self._subscriber.undeclare()
+        undeclare(self._subscriber)
         close_session(self._upstream)
         self._stack.close()
 

@@ -12,6 +12,7 @@ import zenoh
 from common.clock import monotonic_s
 from common.codec import DecodeError, decode
 from common.messages import Message, SystemHealth, Verdict
+from common.session import undeclare
 from common.topics import FUSION_HEALTH, FUSION_VERDICT, Topic
 
 M = TypeVar("M", bound=Message)
@@ -35,7 +36,7 @@ class Watch:
 
     def close(self) -> None:
         for subscriber in self._subscribers:
-            subscriber.undeclare()
+            undeclare(subscriber)
 
     def wait_for(
         self, kind: type[M], fits: Callable[[M], bool], since_s: float, until_s: float

@@ -13,6 +13,7 @@ from common import topics
 from common.clock import monotonic_s
 from common.codec import DecodeError, decode
 from common.messages import Message, SystemHealth, Verdict
+from common.session import undeclare
 from common.swap.compare import Heard
 from common.topics import Topic
 
@@ -66,7 +67,7 @@ class Ear:
         return True
 
     def close(self) -> None:
-        self._subscriber.undeclare()
+        undeclare(self._subscriber)
 
 
 def primary(service: str) -> Topic:
