@@ -34,9 +34,7 @@ class Bridge(ServerListener):
     def __init__(self, session: zenoh.Session, address: str, port: int) -> None:
         self._session = session
         self._lock = threading.Lock()  # of the channels
-        self._looking = (
-            threading.Lock()
-        )  # of the lookers: a callback must never wait for a channel being made
+        self._looking = threading.Lock()  # of the lookers: a callback must never wait for a channel being made
         self._channels: dict[str, Channel] = {}
         self._lookers: dict[str, int] = {}
         self._on_demand: dict[str, zenoh.Subscriber] = {}
