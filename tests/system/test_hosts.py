@@ -181,9 +181,7 @@ def test_a_lying_laptop_changes_nothing(lab: namespaces.Lab, told: Told) -> None
     heard_s = told.wait(state("radar", "online"), time.monotonic())
     meanwhile = told.between(begun_s, heard_s)
     assert {(v["level"], v["rule"]) for v in meanwhile if v["kind"] == "verdict"} == before
-    radar = {tuple(h["radar"]) for h in meanwhile if h["kind"] == "health"}
-    lies = {told for told in radar if told[0] == "disconnected" or told[1] in ("two_claimants", "clock", "waiting")}
-    assert not lies  # a moment of "impaired" is this machine's own load, which the attack adds to
+    assert {tuple(h["radar"]) for h in meanwhile if h["kind"] == "health"} == {("online", "", "")}
 
 
 def test_a_cut_link_is_seen_and_the_vehicle_goes_on(lab: namespaces.Lab, told: Told) -> None:
