@@ -5,13 +5,25 @@ from __future__ import annotations
 import os
 import time
 
-# A fault drill shifts this process's wall clock, as a bad NTP step would; unset in every deployment.
-_DRILL_OFFSET_NS = int(float(os.environ.get("SPOTTER_DRILL_CLOCK_OFFSET_S", "0")) * 1e9)
+
+def _drill_shift() -> tuple[int, float]:
+    """Nanoseconds by which a fault drill shifts this process's wall clock, and the monotonic time from which on.
+
+    ``SECONDS`` shifts it for good, ``SECONDS@MONOTONIC_S`` steps it then, as a bad NTP server would; unset in every
+    deployment.
+    """
+    seconds, _, from_s = os.environ.get("SPOTTER_DRILL_CLOCK_OFFSET_S", "0").partition("@")
+    return int(float(seconds) * 1e9), float(from_s or 0.0)
+
+
+_DRILL_SHIFT_NS, _DRILL_FROM_S = _drill_shift()
 
 
 def utc_ns() -> int:
     """UTC nanoseconds since 1970: for stamps only."""
-    return time.time_ns() + _DRILL_OFFSET_NS
+    if _DRILL_SHIFT_NS and time.monotonic() >= _DRILL_FROM_S:
+        return time.time_ns() + _DRILL_SHIFT_NS
+    return time.time_ns()
 
 
 def monotonic_s() -> float:

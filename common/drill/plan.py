@@ -20,7 +20,7 @@ RelayKind = Literal[
     "delay", "duplicate", "reorder", "stuck", "garbage", "wrong_types", "nan", "million", "future", "past", "jump",
     "foreign_host",
 ]  # fmt: skip
-Kind = Literal[SignalKind, RelayKind, "cut", "clock", "sim"]
+Kind = Literal[SignalKind, RelayKind, "cut", "clock", "clock_step", "sim"]
 
 SIGNALS: frozenset[str] = frozenset({"kill", "freeze"})
 RELAYED: frozenset[str] = frozenset({
@@ -33,7 +33,8 @@ class Fault(Section, frozen=True, kw_only=True):
     """One thing that is broken.
 
     ``kill``, ``freeze``: SIGKILL, SIGSTOP. ``cut``: the link between service and router carries nothing any more.
-    ``clock``: the process restarts with its clock off by ``seconds``. ``sim``: the simulated world's own fault at
+    ``clock``: the process restarts with its clock off by ``seconds``. ``clock_step``: the clock of the running process
+    jumps by ``seconds``. ``sim``: the simulated world's own fault at
     scenario time ``at_s``, whose moment is known within about half a second. All others: a stand-in takes the service's
     place and spoils what it publishes.
     """

@@ -28,6 +28,8 @@ STOP_BUDGET_S = 5.0
 SIM_WARM_UP_S = 4.0  # a service that starts this long before the fault has come online by then
 START_BUDGET_S = 40.0
 CLOCK_OFFSET = "SPOTTER_DRILL_CLOCK_OFFSET_S"
+CLOCK_STEP_AFTER_S = 20.0  # the moment is given at the start: by then everything is in order and the clock measured
+CLOCK_MEASURED_S = 3.0  # in order for at least this long before the step
 
 
 class System(Protocol):
@@ -50,6 +52,7 @@ class Rig:
         self._proxies: dict[str, LinkProxy] = {}
         self._stand_ins: dict[str, StandIn] = {}
         self._port = port
+        self._step_at_s = 0.0
 
     def __enter__(self) -> Rig:
         router = ZenohConfig(mode="router", connect=(), listen=(self.endpoint,), namespace="")
@@ -82,6 +85,10 @@ class Rig:
             self._stop(fault.service)
             self._stand_ins.pop(fault.service).close()
             self._start(fault.service)
+        if fault.kind == "clock_step":
+            self._stop(fault.service)
+            self._step_at_s = monotonic_s() + CLOCK_STEP_AFTER_S
+            self._start(fault.service, clock=f"{fault.seconds}@{self._step_at_s}")
 
     def inject(self, fault: Fault) -> float:
         """Break it; returns the monotonic time at which it was broken, which may be a moment ahead."""
@@ -95,8 +102,14 @@ class Rig:
                 self._proxies[fault.service].cut()
             case "clock":
                 self._stop(fault.service)
-                self._start(fault.service, clock_offset_s=fault.seconds)
+                self._start(fault.service, clock=str(fault.seconds))
                 return self._first_message(fault.service)
+            case "clock_step":
+                if monotonic_s() + CLOCK_MEASURED_S > self._step_at_s:
+                    raise TimeoutError(
+                        f"not in order {CLOCK_MEASURED_S:.0f} s before the clock of {fault.service} stepped"
+                    )
+                return self._step_at_s
             case "sim":
                 self._stop(fault.service)
                 self._start(fault.service, source=f"sim:faults?t0={fault.at_s - SIM_WARM_UP_S}")
@@ -114,20 +127,18 @@ class Rig:
                 self._processes[fault.service].send_signal(signal.SIGCONT)
             case "cut":
                 self._proxies[fault.service].heal()
-            case "clock" | "sim":
+            case "clock" | "clock_step" | "sim":
                 self._stop(fault.service)
                 self._start(fault.service)
             case _:
                 self._stand_ins[fault.service].spoiler.set(None)
 
-    def _start(
-        self, name: str, *, source: str | None = None, namespace: str = "spotter", clock_offset_s: float = 0.0
-    ) -> None:
+    def _start(self, name: str, *, source: str | None = None, namespace: str = "spotter", clock: str = "0") -> None:
         row = service_row(name)
         sources = {name: source or f"sim:{self._scenario}"} if name not in ("fusion", "dashboard") else {}
         plan = Plan(listen=(self._proxies[name].endpoint,), namespace=namespace, sources=sources)
         child = service_child(row, plan)
-        environment = {**(child.environment or os.environ), CLOCK_OFFSET: str(clock_offset_s)}
+        environment = {**(child.environment or os.environ), CLOCK_OFFSET: clock}
         with (self._log_dir / f"{name}.log").open("ab") as log:
             self._processes[name] = subprocess.Popen(
                 child.command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log
