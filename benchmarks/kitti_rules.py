@@ -150,16 +150,21 @@ def _score_sequence(sequence: Sequence, cut: float, min_overlap: float) -> tuple
     for frame in sequence.frames:
         kept = np.flatnonzero(keep_track[frame.result_track])
         rows, columns = _match(frame.overlap[:, kept], min_overlap)
+        taken = np.zeros(len(kept), bool)
+        taken[columns] = True
         columns = kept[columns]
         partner = np.full(len(frame.truth_track), -1)
         partner[rows] = frame.result_track[columns]
-        for g, track in enumerate(frame.truth_track):
-            story.setdefault(int(track), []).append((int(partner[g]), bool(frame.truth_ignored[g])))
-        unmatched = np.setdiff1d(kept, columns)
-        truths += int(np.sum(~frame.truth_ignored))
-        hits += int(np.sum(~frame.truth_ignored[rows]))
-        misses += int(np.sum((partner < 0) & ~frame.truth_ignored))
-        false += int(np.sum(~frame.result_ignored[unmatched]))
+        for track, found, ignored in zip(
+            frame.truth_track.tolist(), partner.tolist(), frame.truth_ignored.tolist(), strict=True
+        ):
+            story.setdefault(track, []).append((found, ignored))
+        unmatched = kept[~taken]
+        counted = ~frame.truth_ignored
+        truths += np.count_nonzero(counted)
+        hits += np.count_nonzero(counted[rows])
+        misses += np.count_nonzero((partner < 0) & counted)
+        false += np.count_nonzero(~frame.result_ignored[unmatched])
         matches += len(rows)
         overlap_sum += float(frame.overlap[rows, columns].sum())
         matched += sequence.track_score[frame.result_track[columns]].tolist()
