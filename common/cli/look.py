@@ -18,7 +18,7 @@ import zenoh
 from common import topics
 from common.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespace, bus
 from common.cli.fail import fail
-from common.cli.render import health_lines, readable, verdict_line
+from common.cli.render import health_lines, readable, reason_lines, verdict_line
 from common.codec import DecodeError, decode, to_builtins
 from common.messages import ServiceInfo, ServiceStatus, SystemHealth, Verdict
 from common.session import plain
@@ -234,7 +234,7 @@ def _block(verdict: Verdict | None, system: SystemHealth | None, silent_s: float
             "health": to_builtins(system) if system else None,
         }
         return msgspec.json.encode(row).decode()
-    lines = [verdict_line(verdict, silent_s)]
+    lines = [verdict_line(verdict, silent_s), *(reason_lines(verdict) if verdict else [])]
     lines += health_lines(system) if system and verdict else ["health unknown: fusion does not publish"]
     return "\n".join(lines)
 

@@ -42,6 +42,15 @@ def verdict_line(verdict: Verdict | None, silent_s: float) -> str:
     return f"{verdict.level} -> {verdict.permission}{marks}  {verdict.because} (rule {verdict.rule})"
 
 
+def reason_lines(verdict: Verdict) -> list[str]:
+    """What each sensor contributed to the verdict, why, and what would have to change for the level to drop."""
+    lines = []
+    for name, told in verdict.inputs.items():
+        age = "" if told.age_ms is None else f" ({told.age_ms:.0f} ms old)"
+        lines.append(f"  {'used   ' if told.used else 'ignored'} {name}: {told.why}{age}")
+    return lines + ([f"  lower when: {verdict.to_lower}"] if verdict.to_lower else [])
+
+
 def health_lines(system: SystemHealth) -> list[str]:
     """The health bar and one line a sensor and service that is not well."""
     lines = [f"{system.colour.upper()}: {system.summary}"]

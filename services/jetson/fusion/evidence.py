@@ -41,10 +41,22 @@ class FusionInputs:
 
     @property
     def sensors(self) -> dict[str, SensorInput]:
+        """The three on the vehicle, by name."""
         return {"lidar": self.lidar, "radar": self.radar, "camera": self.camera}
 
 
+class Claim(NamedTuple):
+    """One rule's demand: the verdict is at least ``level``."""
+
+    level: Level
+    rule: str
+    because: str
+    by: str = ""  # the sensor that shows the object
+
+
 class Alarm(NamedTuple):
+    """What a sensor's vote was, and when (monotonic) it was last cast."""
+
     level: Level
     at_s: float
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from common.messages import Level, VerdictInput
-from services.jetson.fusion.evidence import RANK, FusionInputs, SensorInput
+from services.jetson.fusion.evidence import RANK, Claim, FusionInputs, SensorInput
 
 
 def seen_by(name: str, sensor: SensorInput, level: Level | None, *, standing: bool = False) -> str:
@@ -90,27 +90,32 @@ def _roadside(sensor: SensorInput) -> tuple[bool, str]:
     return raises, f"{sensor.state}{because}; {'raises' if raises else 'nothing to add'}; it never lowers"
 
 
-def to_lower(inputs: FusionInputs, rule: str, by: str, spent: bool) -> str:
-    """What would have to change for the level to drop."""
+def way_down(inputs: FusionInputs, claims: list[Claim], spent: bool) -> str:
+    """What would have to change for the level to drop: each of ``claims``, all at that level, has to go."""
+    own = [claim for claim in claims if claim.rule != "R3-confirmed"]  # a confirmation goes with what it confirms
+    return "; and ".join(dict.fromkeys(_end_of(inputs, claim, spent) for claim in own or claims))
+
+
+def _end_of(inputs: FusionInputs, claim: Claim, spent: bool) -> str:
     out = [f"{name} online again" for name, sensor in inputs.sensors.items() if sensor.state != "online"]
-    match rule:
-        case "R0-clear" | "R2-camera-only" | "R4-suppressed":
-            return ""
-        case "R7-two-out" | "R7-blind":
-            return " or ".join(out) if rule == "R7-two-out" else "two of: " + ", ".join(out)
+    match claim.rule:
+        case "R7-two-out":
+            return " or ".join(out)
+        case "R7-blind":
+            return "two of: " + ", ".join(out)
         case "A25-starting":
             return "a first message from " + ", ".join(inputs.starting)
         case "C1-clock":
             return "clock offset measured again, stamps plausible"
         case "H1-held":
-            return f"{by} online and clear, or the hold over"
+            return f"{claim.by} online and clear, or the hold over"
         case "R9-static-radar":
             return "lidar online again, or the vehicle known to stand, or the standing track gone"
         case "R5-camera-stands-in":
             return "lidar online again, or the camera's forward zone empty"
         case "I1-roadside":
             return "the roadside object off the vehicle's path"
-    quiet = f"{by or 'lidar'} to report SAFE"
-    if spent and by == "lidar":
-        return f"{quiet}; an empty picture no longer holds it back"
+    quiet = f"{claim.by} to report {'SAFE' if claim.level == 'CAUTION' else 'less than IMMINENT'}"
+    if spent and claim.by == "lidar" and claim.level == "CAUTION":
+        return f"{quiet} (an empty picture no longer holds it back)"
     return quiet

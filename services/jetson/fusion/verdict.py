@@ -14,12 +14,12 @@ Time-limited state is a value (``FusionMemory``) that goes in and comes out, so 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from common.messages import Level, SensorState, Verdict, worst
 from services.jetson.fusion.config import RulesConfig
-from services.jetson.fusion.evidence import RANK, Alarm, FusionInputs, FusionMemory, SensorInput
-from services.jetson.fusion.explain import explain_inputs, seen_by, to_lower
+from services.jetson.fusion.evidence import RANK, Alarm, Claim, FusionInputs, FusionMemory, SensorInput
+from services.jetson.fusion.explain import explain_inputs, seen_by, way_down
 
 RULES: dict[str, str] = {
     "R0-clear": "no sensor that can see reports an alarm",
@@ -38,15 +38,6 @@ RULES: dict[str, str] = {
 }
 
 PERMISSION: dict[Level, Literal["GO", "SLOW", "STOP"]] = {"SAFE": "GO", "CAUTION": "SLOW", "IMMINENT": "STOP"}
-
-
-class Claim(NamedTuple):
-    """One rule's demand: the verdict is at least ``level``."""
-
-    level: Level
-    rule: str
-    because: str
-    by: str = ""  # the sensor that shows the object
 
 
 DEFAULT_RULES = RulesConfig()
@@ -70,7 +61,8 @@ def fuse(
     # 4. what was alarming a moment ago, what the roadside sees, and the floors
     claims += [*held(inputs, memory, rules), *roadside(inputs), *floors(inputs)]
     decided = decide(inputs, claims, suppressed)
-    return explain(inputs, decided, memory, confirmed, suppressed, rules), memory
+    to_lower = way_down(inputs, [claim for claim in claims if claim.level == decided.level], memory.suppression_spent)
+    return explain(inputs, decided, to_lower, confirmed, suppressed, rules), memory
 
 
 def vote(sensor: SensorInput) -> Level | None:
@@ -91,6 +83,7 @@ def radar_vote(inputs: FusionInputs) -> Level | None:
 
 
 def uses_static(inputs: FusionInputs) -> bool:
+    """R9: standing tracks of a healthy radar fill in for a lidar that is degraded but there."""
     return inputs.radar.state == "online" and inputs.lidar.state == "degraded" and inputs.moving is not False
 
 
@@ -254,7 +247,7 @@ def camera_alone(inputs: FusionInputs) -> bool:
 def explain(
     inputs: FusionInputs,
     decided: Claim,
-    memory: FusionMemory,
+    to_lower: str,
     confirmed: bool,
     suppressed: bool,
     rules: RulesConfig,
@@ -274,7 +267,7 @@ def explain(
         advisory="CAMERA_ONLY" if camera_alone(inputs) else None,
         blind=blind,
         permission="STOP" if blind or inputs.starting else PERMISSION[decided.level],
-        to_lower=to_lower(inputs, decided.rule, decided.by, memory.suppression_spent),
+        to_lower=to_lower,
         deciding=witness.deciding if witness is not None else None,
     )
 

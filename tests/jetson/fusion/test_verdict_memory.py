@@ -177,7 +177,7 @@ def test_the_verdict_names_the_object_and_what_would_lower_it() -> None:
     verdict = Run().at(0.0, lidar=lidar, radar=LOST)
     assert verdict.because == "lidar IMMINENT at 0.62 m (centre)"
     assert verdict.deciding == zone
-    assert verdict.to_lower == "lidar to report SAFE"
+    assert verdict.to_lower == "lidar to report less than IMMINENT"
     assert verdict.inputs["lidar"].used
     assert verdict.inputs["radar"].why == "disconnected: gone; no vote, which is not a vote for SAFE"
     assert not verdict.inputs["radar"].used
@@ -194,7 +194,12 @@ def test_the_verdict_names_the_object_and_what_would_lower_it() -> None:
         ({"lidar": LOST, "camera": detected("SAFE")}, "R5-camera-stands-in", "lidar online again"),
         ({"radar": detected()}, "R1-worst-case", "radar to report SAFE"),
         ({"roadside": detected("CAUTION")}, "I1-roadside", "the roadside object off the vehicle's path"),
-        ({"lidar": detected(), "camera": detected()}, "R3-confirmed", "camera to report SAFE"),
+        ({"lidar": detected(), "camera": detected()}, "R3-confirmed", "lidar to report SAFE"),
+        (
+            {"lidar": detected(), "radar": detected()},
+            "R1-worst-case",
+            "lidar to report SAFE (an empty picture no longer holds it back); and radar to report SAFE",
+        ),
     ],
 )
 def test_the_deciding_rule_and_the_way_down(sensors: dict[str, Any], rule: str, to_lower: str) -> None:

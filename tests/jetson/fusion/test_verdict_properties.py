@@ -199,5 +199,8 @@ def test_every_verdict_explains_itself(history: list[FusionInputs]) -> None:
         assert verdict.because
         assert all(told.why for told in verdict.inputs.values())
         assert bool(verdict.to_lower) == (verdict.level != "SAFE")
+        for name, told in verdict.inputs.items():  # whoever holds the level up is named
+            if name in ("lidar", "radar") and told.used and RANK[told.level] == RANK[verdict.level] > RANK["SAFE"]:
+                assert f"{name} to report" in verdict.to_lower
         assert {"lidar", "radar", "camera"} <= set(verdict.inputs)
         assert ("infra_lidar" in verdict.inputs) == (step.roadside is not None)
