@@ -19,12 +19,15 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def ok(check: str, what: str) -> Finding:
+    """All is well."""
     return Finding(check=check, grade="ok", what=what)
 
 
 def warning(check: str, what: str, do: str) -> Finding:
+    """It works, but not for long or not well; ``do`` says what to do about it."""
     return Finding(check=check, grade="warning", what=what, do=do)
 
 
 def broken(check: str, what: str, do: str) -> Finding:
+    """It cannot work; ``do`` says what to do about it."""
     return Finding(check=check, grade="broken", what=what, do=do)

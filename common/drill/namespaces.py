@@ -58,9 +58,11 @@ class Lab:
             subprocess.run(["ip", "netns", "del", self.space(host)], capture_output=True, check=False)
 
     def space(self, host: str) -> str:
+        """The name of the network namespace that stands for ``host``."""
         return f"spotter-{self._mark}-{host}"
 
     def address(self, host: str) -> str:
+        """The IPv4 address of ``host`` on the lab's one network."""
         return f"{SUBNET}.{self.hosts.index(host) + 1}"
 
     def start(self, name: str, host: str, command: list[str], **environment: str) -> None:
@@ -81,6 +83,7 @@ class Lab:
         return subprocess.run(words, capture_output=True, text=True, check=False, env={**os.environ, **environment})
 
     def stop(self, name: str) -> None:
+        """Interrupt a command; kill it with all its children when it does not end in time."""
         process = self._processes.pop(name)
         process.send_signal(signal.SIGINT)
         try:

@@ -60,12 +60,14 @@ class Expected(Section, frozen=True, kw_only=True):
     silent: bool = False  # no verdict comes any more: older than its age limit, so everybody has to stop
 
     def health_fits(self, told: SystemHealth) -> bool:
+        """Whether this health says all that is expected of it."""
         states = all(name in told.sensors and told.sensors[name].state == want for name, want in self.health.items())
         causes = all(name in told.sensors and told.sensors[name].cause == want for name, want in self.cause.items())
         noted = not self.note or any(self.note in note for note in told.notes)
         return states and causes and noted and (not self.colour or told.colour in self.colour)
 
     def verdict_fits(self, verdict: Verdict) -> bool:
+        """Whether this verdict says all that is expected of it."""
         wanted = ((self.level, verdict.level), (self.rule, verdict.rule), (self.permission, verdict.permission))
         plain = all(not allowed or got in allowed for allowed, got in wanted)
         unused = all(name in verdict.inputs and not verdict.inputs[name].used for name in self.unused)
@@ -74,10 +76,13 @@ class Expected(Section, frozen=True, kw_only=True):
 
     @property
     def about_health(self) -> bool:
+        """Whether anything at all is expected of health."""
         return bool(self.health or self.cause or self.colour or self.note)
 
 
 class Drill(Section, frozen=True, kw_only=True):
+    """One drill: what is broken, what has to follow, and how soon."""
+
     name: str
     faults: Annotated[tuple[Fault, ...], Meta(min_length=1)]
     expect: Expected
@@ -88,6 +93,8 @@ class Drill(Section, frozen=True, kw_only=True):
 
 
 class DrillPlan(Section, frozen=True, kw_only=True):
+    """A drill file."""
+
     scenario: str = "empty"  # what the simulated sensors look at between the faults
     before: Expected = Expected()  # what has to hold before each drill and again after it
     ready_within_s: Seconds = 60.0

@@ -24,15 +24,19 @@ class LinkProxy:
 
     @property
     def endpoint(self) -> str:
+        """Where to connect instead of to the target."""
         return f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
 
     def cut(self) -> None:
+        """Carry nothing from now on, and close nothing: as a pulled cable."""
         self._open.clear()
 
     def heal(self) -> None:
+        """Carry everything again, what piled up first."""
         self._open.set()
 
     def close(self) -> None:
+        """End all connections and threads."""
         self._closed.set()
         self._open.set()
         for one in (self._listener, *self._sockets):

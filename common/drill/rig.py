@@ -35,10 +35,17 @@ CLOCK_MEASURED_S = 3.0  # in order for at least this long before the step
 class System(Protocol):
     """What a drill can be run against."""
 
-    def can(self, fault: Fault) -> bool: ...
-    def prepare(self, fault: Fault) -> None: ...
-    def inject(self, fault: Fault) -> float: ...
-    def heal(self, fault: Fault) -> None: ...
+    def can(self, fault: Fault) -> bool:
+        """Whether this fault is possible here."""
+
+    def prepare(self, fault: Fault) -> None:
+        """Make ready for the fault, still without it."""
+
+    def inject(self, fault: Fault) -> float:
+        """Break it; returns the monotonic time at which it is broken."""
+
+    def heal(self, fault: Fault) -> None:
+        """Mend it."""
 
 
 class Rig:
@@ -72,6 +79,7 @@ class Rig:
         self._stack.close()
 
     def can(self, fault: Fault) -> bool:
+        """Every fault of a service that was started."""
         return fault.service in self._services
 
     def prepare(self, fault: Fault) -> None:
@@ -119,6 +127,7 @@ class Rig:
         return monotonic_s()
 
     def heal(self, fault: Fault) -> None:
+        """Mend what ``inject`` broke, by a restart where the fault is inside the process."""
         match fault.kind:
             case "kill":
                 self._processes[fault.service].wait()
@@ -182,12 +191,15 @@ class Running:
         self._frozen: dict[str, int] = {}
 
     def can(self, fault: Fault) -> bool:
+        """Only signals, and only to a process on this machine."""
         return fault.kind in ("kill", "freeze") and self._pid(fault.service) is not None
 
     def prepare(self, fault: Fault) -> None:
+        """Nothing: a running system is taken as it is."""
         return
 
     def inject(self, fault: Fault) -> float:
+        """Send the signal; returns the monotonic time."""
         pid = self._pid(fault.service)
         if pid is None:
             raise TimeoutError(f"{fault.service} does not answer")

@@ -40,6 +40,7 @@ def run_plan(plan: DrillPlan, system: System, watch: Watch) -> Iterator[Result]:
 
 
 def run_drill(drill: Drill, plan: DrillPlan, system: System, watch: Watch) -> Result:
+    """In order before, broken, seen in time, healed, in order again."""
     result = Result(
         name=drill.name, health_within_s=drill.health_within_s, verdict_within_s=drill.verdict_within_s
     )  # fmt: skip

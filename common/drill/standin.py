@@ -41,6 +41,7 @@ class Spoiler:
         self._count = 0
 
     def set(self, fault: Fault | None) -> None:
+        """Begin a fault, or end it with None."""
         self.fault, self._held, self._stuck = fault, None, None
 
     def feed(self, now_s: float, payload: bytes) -> list[Outgoing]:
@@ -116,6 +117,7 @@ class StandIn:
             threading.Thread(target=work, name="stand-in", daemon=True).start()
 
     def close(self) -> None:
+        """Leave the bus."""
         with self._wake:
             self._stopped = True
             self._wake.notify_all()

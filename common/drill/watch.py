@@ -35,6 +35,7 @@ class Watch:
         ]
 
     def close(self) -> None:
+        """Stop listening."""
         for subscriber in self._subscribers:
             undeclare(subscriber)
 
@@ -70,6 +71,7 @@ class Watch:
             return {m.level for at_s, m in self._seen[Verdict] if at_s >= since_s and isinstance(m, Verdict)}
 
     def newest(self, kind: type[M]) -> M | None:
+        """The last message of a kind that was seen, if any."""
         with self._changed:
             last = self._seen[kind][-1][1] if self._seen[kind] else None
         return last if isinstance(last, kind) else None

@@ -48,6 +48,7 @@ class Waveform:
 
     @property
     def slope_hz_per_s(self) -> float:
+        """Ramp slope: the sampled bandwidth over the time in which it is sampled."""
         return self.sampled_bandwidth_hz * self.sample_rate_hz / self.samples
 
     @property

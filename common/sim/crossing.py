@@ -98,6 +98,7 @@ def _stream(
 
 
 def crossing() -> Scenario:
+    """A walker and a small car come close to the standing vehicle and leave again, with traffic behind them."""
     approach = [
         Player(PERSON, "pedestrian", person_errand()),
         Player(SMALL_CAR, "car", car_errand(), SMALL_CAR_SIZE_M),
@@ -106,6 +107,7 @@ def crossing() -> Scenario:
 
 
 def empty() -> Scenario:
+    """The same place with nobody in it."""
     return Scenario("empty", 10.0, yard_and_street())
 
 

@@ -44,6 +44,7 @@ class Actor:
 
     @property
     def T_map_body(self) -> np.ndarray:
+        """(4, 4) pose of the foot of the box in the map."""
         return pose_2d(self.position_m[0], self.position_m[1], self.yaw_rad, self.position_m[2])
 
     @property
@@ -113,6 +114,7 @@ class Player:
     size_m: tuple[float, float, float] | None = None
 
     def at(self, t_s: float, scene: Scene) -> Actor:
+        """Where it is at scenario time ``t_s``, standing on the scene's ground."""
         pose = self.motion.at(t_s)
         along_x, along_y = scene.ground.gradient(pose.x_m, pose.y_m)
         climb = along_x * pose.vx_mps + along_y * pose.vy_mps

@@ -28,7 +28,10 @@ class Pose:
 
 
 class Motion(Protocol):
-    def at(self, t_s: float) -> Pose: ...
+    """Any way to move."""
+
+    def at(self, t_s: float) -> Pose:
+        """The pose at scenario time ``t_s``."""
 
 
 class Path:
@@ -60,6 +63,7 @@ def bezier(*control_m: tuple[float, float]) -> Path:
 
 
 def line(start_m: tuple[float, float], end_m: tuple[float, float]) -> Path:
+    """A straight path."""
     return Path(np.linspace(start_m, end_m, 2))
 
 
@@ -81,6 +85,7 @@ class Ride:
 
     @property
     def duration_s(self) -> float:
+        """From rest to rest."""
         return self.path.length_m / self.speed_mps + self.speed_mps / self.accel_mps2
 
     def pose(self, elapsed_s: float) -> Pose:
@@ -109,6 +114,7 @@ class Errand:
     length_s: float
 
     def at(self, t_s: float) -> Pose:
+        """On the ride that has begun last, or turning after it."""
         t = (t_s - self.rides[0].start_s) % self.length_s + self.rides[0].start_s
         index = max(i for i, ride in enumerate(self.rides) if t >= ride.start_s)
         ride = self.rides[index]
@@ -138,6 +144,7 @@ class Circuit:
     phase: float = 0.0
 
     def at(self, t_s: float) -> Pose:
+        """``laps`` times round by ``length_s``."""
         s_m = self.path.length_m * ((self.laps * t_s / self.length_s + self.phase) % 1.0)
         x, y, heading = self.path.point(s_m)
         speed = self.path.length_m * self.laps / self.length_s
@@ -154,6 +161,7 @@ class Straight:
     length_s: float = math.inf
 
     def at(self, t_s: float) -> Pose:
+        """So far along the line."""
         way_m = self.speed_mps * (t_s % self.length_s)
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         x, y = self.start_m[0] + way_m * c, self.start_m[1] + way_m * s

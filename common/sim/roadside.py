@@ -133,6 +133,7 @@ class _Crowd:
     objects: int
 
     def players(self) -> list[Player]:
+        """As many of each kind as the mix says, as far as there is room."""
         self._taken: list[tuple[float, float, float]] = []  # x, y, radius at the middle of the scenario
         self._cast: list[Player] = []
         speeds = [self.rng.uniform(6.0, 13.0) for _ in _LANES]  # one speed per lane: nobody runs into another

@@ -20,6 +20,7 @@ class Ground:
     y_bend_per_m: float = 0.0
 
     def height(self, x_m: np.ndarray | float, y_m: np.ndarray | float) -> np.ndarray | float:
+        """z in map metres."""
         bend = 0.5 * (self.x_bend_per_m * x_m * x_m + self.y_bend_per_m * y_m * y_m)
         return self.x_slope * x_m + self.y_slope * y_m + bend
 

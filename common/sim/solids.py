@@ -57,6 +57,7 @@ class Solids:
         return np.select([self.shape == CYLINDER, self.shape == BOX], [drum_m, box_m], round_m)
 
     def take(self, index: np.ndarray) -> Solids:
+        """Those at ``index``."""
         return Solids(*(getattr(self, name)[index] for name in _FIELDS))
 
     def near(self, point_m: np.ndarray, within_m: float) -> Solids:

@@ -42,6 +42,7 @@ class ZoneTruth:
 
     @property
     def nearest_m(self) -> float | None:
+        """The least of the three, None when all are empty."""
         return min((d for d in (self.left_m, self.centre_m, self.right_m) if d is not None), default=None)
 
 

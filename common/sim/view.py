@@ -66,6 +66,7 @@ class Lens:
 
 
 def lens_of(world: WorldState, width_px: int = SIZE_PX[0], height_px: int = SIZE_PX[1]) -> Lens:
+    """The vehicle's camera in this world."""
     return Lens(invert(world.T_map_vehicle @ T_vehicle_camera), width_px, height_px)
 
 

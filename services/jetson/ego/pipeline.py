@@ -19,6 +19,8 @@ class Motion(NamedTuple):
 
 
 class EgoPipeline:
+    """Odometry to EgoMotion."""
+
     def __init__(self, config: EgoConfig) -> None:
         self._config = config
 

@@ -80,6 +80,7 @@ class ClockWatch:
         return ""
 
     def health(self, now_s: float) -> ClockHealth | None:
+        """What people are told of this clock; None while it was never measured."""
         best = self.estimate(now_s)
         if best is None:
             return None

@@ -44,6 +44,8 @@ class RulesConfig(Section, frozen=True, kw_only=True):
 
 
 class HealthConfig(Section, frozen=True, kw_only=True):
+    """When a sensor's state changes, and how often health is told."""
+
     recovery_frames: Annotated[int, Meta(ge=1, le=100)] = 3  # good frames in a row before a sensor is online again
     future_s: Seconds = 0.1  # a stamp this far ahead of our clock is a clock fault
     rate_window_s: Annotated[float, Meta(ge=0.5, le=60.0)] = 3.0

@@ -37,6 +37,8 @@ class Surroundings:
 
 
 class Fault(NamedTuple):
+    """What is wrong with a sensor: its state, the first broken link, and a sentence."""
+
     state: SensorState
     cause: str
     reason: str

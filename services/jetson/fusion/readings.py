@@ -42,6 +42,7 @@ def read(message: Message) -> Reading:
 
 
 def read_lidar(message: LidarZones) -> Reading:
+    """The worst of the three lanes and of the message's own level."""
     zones = {"left": message.left, "centre": message.centre, "right": message.right}
     name, zone = _most_serious(zones.items(), lambda item: (item[1].level, item[1].nearest_m))
     deciding = {"zone": name, "nearest_m": zone.nearest_m, "points": zone.points, "level": zone.level}
@@ -50,6 +51,7 @@ def read_lidar(message: LidarZones) -> Reading:
 
 
 def read_radar(message: RadarTracks) -> Reading:
+    """The worst of the tracks and of the message's own level; not settled is degraded."""
     state, reason = message.state, message.reason
     if not message.settled and state == "online":
         state, reason = "degraded", "settling: the clutter background is not learned yet"
@@ -69,6 +71,7 @@ def read_radar(message: RadarTracks) -> Reading:
 
 
 def read_camera(message: CameraDetections) -> Reading:
+    """The worst detection in the forward zone; what is beside it does not count."""
     ahead = [detection for detection in message.detections if detection.in_zone]
     if not ahead:
         return Reading(message.state, message.reason, message.level)

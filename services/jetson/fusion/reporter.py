@@ -25,6 +25,7 @@ class Reporter:
         self._told_s = float("-inf")
 
     def report(self, seen: Observation, sensors: dict[str, SensorHealth]) -> SystemHealth | None:
+        """SystemHealth when something has changed or its period is over, else None."""
         services = self._judge_services(seen)
         news = (
             seen.isolated,

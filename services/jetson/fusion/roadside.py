@@ -151,6 +151,7 @@ class RoadsideAlarm:
 
     @property
     def level(self) -> Level | None:
+        """The debounced level, None when there is none."""
         return LEVELS[self._rank] if self._rank else None
 
 

@@ -66,6 +66,7 @@ class ClockPoller:
         threading.Thread(target=self._poll, name="clocks", daemon=True).start()
 
     def take(self) -> tuple[ClockSample, ...]:
+        """The measurements since the last call."""
         taken = []
         while self._samples:
             taken.append(self._samples.popleft())
