@@ -29,3 +29,8 @@ def utc_ns() -> int:
 def monotonic_s() -> float:
     """Seconds on the monotonic clock: for ages and time-outs only."""
     return time.monotonic()
+
+
+def utc_at(moment_s: float) -> int:
+    """UTC nanoseconds of a moment on the monotonic clock, by what the UTC clock says now."""
+    return utc_ns() - round((monotonic_s() - moment_s) * 1e9)

@@ -10,6 +10,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import uuid
 from pathlib import Path
 from types import TracebackType
@@ -40,6 +41,7 @@ class Lab:
         self.hosts, self.folder = hosts, folder
         self._mark = uuid.uuid4().hex[:4]
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._slow: dict[str, subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> Lab:
         self._ip("netns", "add", self.space("net"))
@@ -52,9 +54,11 @@ class Lab:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        for name in list(self._processes):
-            self.stop(name)
+        self.stop(*self._processes)
         for host in (*self.hosts, "net"):
+            for pid in self.pids(host):  # whatever was left behind by those, however they ended
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
             subprocess.run(["ip", "netns", "del", self.space(host)], capture_output=True, check=False)
 
     def space(self, host: str) -> str:
@@ -82,24 +86,27 @@ class Lab:
         words = ["ip", "netns", "exec", self.space(host), *command]
         return subprocess.run(words, capture_output=True, text=True, check=False, env={**os.environ, **environment})
 
-    def stop(self, name: str) -> None:
-        """Interrupt a command; kill it with all its children when it does not end in time."""
-        process = self._processes.pop(name)
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(STOP_BUDGET_S)
-        except subprocess.TimeoutExpired:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+    def stop(self, *names: str) -> None:
+        """Stop these together, each as with Ctrl-C."""
+        stopping = [self._processes.pop(name) for name in names]
+        for process in stopping:
+            process.send_signal(signal.SIGINT)
+        for process in stopping:
+            try:
+                process.wait(STOP_BUDGET_S)
+            except subprocess.TimeoutExpired:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
 
-    def pids(self, host: str, word: str) -> list[int]:
-        """Processes of a host that have ``word`` among the words of their command line."""
-        listed = subprocess.run(["ip", "netns", "pids", self.space(host)], capture_output=True, text=True, check=True)
+    def pids(self, host: str, word: str = "") -> list[int]:
+        """Processes of a host, those that have ``word`` among the words of their command line."""
+        words = ["ip", "netns", "pids", self.space(host)]
+        listed = subprocess.run(words, capture_output=True, text=True, check=False)
         found = []
         for pid in map(int, listed.stdout.split()):
             with contextlib.suppress(OSError):
-                if word.encode() in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0"):
+                if not word or word.encode() in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0"):
                     found.append(pid)
         return found
 
@@ -109,19 +116,18 @@ class Lab:
             self._in(host, "iptables", "-I", chain, *_side(chain), "-j", "DROP")
 
     def heal(self, host: str) -> None:
-        """Undo cut, loss and throttle."""
+        """Undo cut, loss, throttle and delay."""
         for chain in _DROP:
             self._in(host, "iptables", "-F", chain)
-        subprocess.run(
-            ["ip", "netns", "exec", self.space(host), "tc", "qdisc", "del", "dev", "eth0", "root"],
-            capture_output=True,
-            check=False,
-        )
-        subprocess.run(
-            ["ip", "netns", "exec", self.space("net"), "tc", "qdisc", "del", "dev", self._port(host), "root"],
-            capture_output=True,
-            check=False,
-        )
+        self._try(host, "tc", "qdisc", "del", "dev", "eth0", "root")
+        self._try("net", "tc", "qdisc", "del", "dev", self._port(host), "root")
+        slow = self._slow.pop(host, None)
+        if slow is not None:
+            self._in("net", "ip", "link", "set", self._port(host), "master", "bridge0")
+            slow.kill()
+            slow.communicate()
+            for device in _devices(host):
+                self._in("net", "ip", "link", "del", device)
 
     def lose(self, host: str, share: float) -> None:
         """Drop this share of the packets in each direction."""
@@ -134,6 +140,21 @@ class Lab:
         limits = ["tbf", "rate", f"{mbit_s}mbit", "burst", "32kb", "latency", "50ms"]
         self._in(host, "tc", "qdisc", "add", "dev", "eth0", "root", *limits)
         self._in("net", "tc", "qdisc", "add", "dev", self._port(host), "root", *limits)
+
+    def delay(self, host: str, seconds: float) -> None:
+        """Let each frame take this much longer in each direction: a relay between this host's cable and the bridge."""
+        near, far, bridge = _devices(host)
+        self._in("net", "ip", "link", "add", bridge, "type", "bridge")
+        for tap, where in ((near, bridge), (far, "bridge0")):
+            self._in("net", "ip", "tuntap", "add", "dev", tap, "mode", "tap")
+            self._in("net", "ip", "link", "set", tap, "master", where, "up")
+        self._in("net", "ip", "link", "set", bridge, "up")
+        words = ["ip", "netns", "exec", self.space("net"), sys.executable, "-m", "common.drill.delay"]
+        slow = self._slow[host] = subprocess.Popen([*words, near, far, str(seconds)], stdout=subprocess.PIPE)
+        assert slow.stdout is not None
+        if not slow.stdout.readline():
+            raise OSError(f"the relay for {host} ended with code {slow.wait()}")
+        self._in("net", "ip", "link", "set", self._port(host), "master", bridge)
 
     def _join(self, host: str) -> None:
         space, port = self.space(host), self._port(host)
@@ -152,6 +173,14 @@ class Lab:
 
     def _in(self, host: str, *words: str) -> None:
         subprocess.run(["ip", "netns", "exec", self.space(host), *words], check=True, capture_output=True)
+
+    def _try(self, host: str, *words: str) -> None:
+        subprocess.run(["ip", "netns", "exec", self.space(host), *words], check=False, capture_output=True)
+
+
+def _devices(host: str) -> tuple[str, str, str]:
+    """Names of the two ends of a slow cable and of the bridge at its near end (15 characters at most)."""
+    return f"near-{host}"[:15], f"far-{host}"[:15], f"slow-{host}"[:15]
 
 
 def _side(chain: str) -> tuple[str, str]:
