@@ -51,6 +51,7 @@ CLEAR = LidarZone(nearest_m=None, points=0, level="SAFE")
 
 
 def message(name: str, stamp_ns: int) -> Any:
+    """A sensor's message that sees nothing, stamped ``stamp_ns`` (UTC)."""
     if name == "lidar":
         return LidarZones(stamp_ns=stamp_ns, left=CLEAR, centre=CLEAR, right=CLEAR, level="SAFE", raw_level="SAFE")
     if name == "radar":
@@ -84,6 +85,7 @@ def rules() -> None:
 
 
 def pipeline_us() -> float:
+    """Microseconds of one pipeline step, with one new message each time."""
     pipeline = FusionPipeline(FusionConfig())
     present = frozenset((host, topic.service, "x") for topic, host, _ in SENSORS.values())
     turn = itertools.cycle(SENSORS)
@@ -111,10 +113,12 @@ class InputToVerdict:
         self._subscribers = [session.declare_subscriber(topic.any_host, self._noter(n, topic)) for n, topic in topics]
 
     def close(self) -> None:
+        """Stop listening."""
         for subscriber in self._subscribers:
             subscriber.undeclare()
 
     def restart(self) -> None:
+        """Forget what was measured so far."""
         with self._lock:
             self.latencies_ms, self.verdicts = [], 0
 
@@ -140,6 +144,7 @@ class InputToVerdict:
                 self.latencies_ms.append((verdict.sent_ns - sent_ns) * 1e-6)
 
     def line(self, what: str, seconds: float) -> str:
+        """What was measured in the last ``seconds``, as a line of the table."""
         with self._lock:
             if not self.latencies_ms:
                 return f"{what:<44} no input reached a verdict"
@@ -231,6 +236,7 @@ def _free_port() -> int:
 
 
 def main() -> None:
+    """Rules alone, then a real process over Zenoh; with ``--demo`` the whole demo, too."""
     rules()
     over_zenoh()
     if "--demo" in sys.argv:

@@ -24,6 +24,7 @@ PLAIN_RAYS = 2000  # of the 128-beam lidar's, one in so many is cast the plain w
 
 
 def main() -> None:
+    """Cost of each simulated sensor, beside a plain ray caster."""
     print(f"{SCENARIO}, {SECONDS:.0f} s            ms    rate   share of a core   x plain reference")
     rows: tuple[tuple[str, float, Callable[[float], Any], float | None], ...] = (
         ("LD06 bytes of 0.1 s", 10.0, packets, plain_ld06_ms()),
@@ -50,6 +51,7 @@ def milliseconds(run: Callable[[float], Any], begin_s: float = 2.0) -> float:
 
 
 def packets(t_s: float) -> bytes:
+    """The LD06's bytes of one step."""
     return ld06.packets(SCENARIO, t_s, t_s + STEP_S)
 
 
@@ -66,6 +68,7 @@ def plain_ld06_ms() -> float:
 
 
 def plain_slice(world: WorldState, angles_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ranges (N,) in metres and reflectivities (N,) by casting every ray at every solid."""
     T_map_lidar = world.T_map_vehicle @ T_vehicle_ld06
     rays = np.column_stack([np.cos(angles_rad), np.sin(angles_rad), np.zeros_like(angles_rad)]) @ T_map_lidar[:3, :3].T
     solids = world.solids_near(T_map_lidar[:3, 3], ld06.RANGE_M[1])
