@@ -260,6 +260,19 @@ class PointCloud(SensorMessage, kw_only=True):
         check_shape(self, "kind", self.kind, len(self.points))
 
 
+# --- any sensor -----------------------------------------------------------------------------------------------
+
+
+class RawBytes(Message, kw_only=True):
+    """What a device sent, before it was interpreted: for recordings that are to be processed again."""
+
+    kind: Name  # "ld06", "bgt60", "bgr8", "velodyne", "ouster", "points"
+    index: Count  # counts all pieces since the source was opened, heard or not: 0 is the very first
+    epoch: Count = 0  # another number than before: the device was opened anew
+    data: np.ndarray  # as it came; (N,) uint8 of a byte stream, the device's own shape and type of a frame
+    about: dict[Name, object] = {}  # what a reader has to know beside the bytes
+
+
 # --- vehicle --------------------------------------------------------------------------------------------------
 
 

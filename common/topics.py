@@ -109,6 +109,13 @@ DATA_TOPICS: tuple[Topic, ...] = (
     EGO_MOTION,
 )
 
+# Bytes as a device sent them, for recordings that are to be processed again; only while somebody listens.
+RADAR_RAW, LIDAR_RAW, CAMERA_RAW, INFRA_RAW = RAW_TOPICS = tuple(
+    Topic(service, "raw", m.RawBytes, None, on_demand=True,
+          priority="data_low", congestion="block_first", max_bytes=32_000_000)
+    for service in ("radar", "lidar", "camera", "infra_lidar")
+)  # fmt: skip
+
 # How old a camera picture may be to confirm or to suppress another sensor's alert (bench-stack A20).
 CAMERA_CONFIRM_AGE_S = 0.5
 
@@ -154,7 +161,7 @@ def find_topic(key: str) -> Topic | None:
     _, service, product = parts
     if product == "status":
         return status_topic(service)
-    return next((t for t in DATA_TOPICS if t.service == service and t.product == product), None)
+    return next((t for t in (*DATA_TOPICS, *RAW_TOPICS) if t.service == service and t.product == product), None)
 
 
 def service_row(name: str) -> ServiceRow:

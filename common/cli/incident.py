@@ -85,7 +85,7 @@ def open_incident(
 @app.command()
 def verify(file: Annotated[Path, typer.Argument(help="A merged incident or any recording with fusion/trace.")]) -> None:
     """Decide every verdict again from what was recorded; the same as `spotter replay --verify`."""
-    from common.cli.replay import verify_recording
+    from common.cli.verify import verify_recording
 
     verify_recording([file])
 

@@ -25,10 +25,13 @@ class Progress:
         self._next_s = now_s + PERIOD_S
         self._write(text)
 
-    def share(self, done: float, of: float) -> None:
-        """A bar for work whose size is known."""
-        part = min(max(done / of, 0.0), 1.0) if of > 0 else 1.0
-        self.tell(f"[{'#' * round(30 * part):<30}] {part:4.0%}")
+    def share(self, done: float, of: float, words: str = "") -> None:
+        """A bar for work whose size is known; only the words (or what is done) where it is not: ``of`` 0."""
+        if of <= 0:
+            self.tell(words or f"{done:.0f}")
+            return
+        part = min(max(done / of, 0.0), 1.0)
+        self.tell(f"[{'#' * round(30 * part):<30}] {part:4.0%}  {words}")
 
     def close(self) -> None:
         """Wipe the line."""

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import sys
 import threading
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from common.cli.connect import DEFAULT_ENDPOINT, Connect, bus
+from common.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, bus
 from common.cli.fail import fail
+from common.cli.progress import Progress
+from common.cli.verify import verify_recording, verify_services
 from common.topics import ANY_TOKEN
+
+if TYPE_CHECKING:
+    from common.recording.player import Pace
 
 
 def replay(
@@ -23,58 +29,65 @@ def replay(
     shift: Annotated[bool, typer.Option(help="Make the stamps those of now, so that nothing is too old.")] = True,
     namespace: Annotated[str, typer.Option(help="Where it is played; must have no live services.")] = "replay",
     verify: Annotated[bool, typer.Option("--verify", help="Do not play: decide every verdict again.")] = False,
+    service: Annotated[
+        list[str] | None,
+        typer.Option("--service", help="With --verify: run lidar, radar, camera or infra_lidar over raw bytes."),
+    ] = None,
+    config: Annotated[Path | None, typer.Option("--config", help="With --service: its configuration.")] = None,
     connect: Connect = DEFAULT_ENDPOINT,
+    as_json: AsJson = False,
 ) -> None:
     """Play recordings on the bus under their own namespace; services and tools follow with --namespace replay."""
+    for path in files:
+        if not path.exists():
+            fail(f"{path}: no such file", code=2)
     if verify:
-        verify_recording(files)
+        verify_services(service, files, config, as_json) if service else verify_recording(files, as_json)
         return
-    try:
-        from common.recording.player import Pace, Player
-        from common.recording.reader import RecordingError
-    except ImportError as error:
-        fail(f"replaying needs the extra `laptop`: {error}")
+    if service or config:
+        fail("--service and --config go with --verify; a service plays raw bytes with --source mcap:FILE", code=2)
     if not rate > 0:
         fail(f"--rate {rate}: must be greater than 0", code=2)
-    for path in files:
-        if not path.is_file():
-            fail(f"{path}: no such file", code=2)
+    try:
+        from common.recording.player import Pace
+    except ImportError as error:
+        fail(f"replaying needs the extra `laptop`: {error}")
+    played = _play(files, Pace(rate, seek, loop, shift), connect, namespace)
+    if as_json:
+        print(json.dumps({"files": [str(path) for path in files], "played": played}))
+    else:
+        sys.stderr.write(f"  {played} messages played\n")
+
+
+def _play(files: list[Path], pace: Pace, connect: str, namespace: str) -> int:
+    """Returns how many messages went out until the end, or until Ctrl-C."""
+    from common.recording.player import Player
+    from common.recording.reader import RecordingError
+
     stop = threading.Event()
     for signum in (signal.SIGINT, signal.SIGTERM):
         signal.signal(signum, lambda *_: stop.set())
-
-    def tell(into_s: float) -> None:
-        sys.stderr.write(f"\r  {into_s:8.1f} s")
-
+    progress, length_s = Progress(), _length_s(files)
     with bus(connect, namespace) as session:
         live = [str(reply.ok.key_expr) for reply in session.liveliness().get(ANY_TOKEN, timeout=1.0) if reply.ok]
         if live:
             fail(f"--namespace {namespace}: {len(live)} live services there; a recording never mixes with live data")
-        player = Player(session, files, Pace(rate, seek, loop, shift))
+        player = Player(session, files, pace)
         try:
-            player.run(stop, tell)
+            player.run(stop, lambda into_s: progress.share(into_s, length_s, f"{into_s:.0f} s"))
         except RecordingError as error:
             fail(str(error))
-    sys.stderr.write(f"\n  {player.played} messages played\n")
+        finally:
+            progress.close()
+    return player.played
 
 
-def verify_recording(files: list[Path]) -> None:
-    """Print what was checked; exit code 1 with the first difference when the recording does not hold."""
-    from common.recording.reader import RecordingError, read
-    from services.jetson.fusion.verify import verify
+def _length_s(files: list[Path]) -> float:
+    """From the files' indexes; 0 where one has none."""
+    from common.recording.reader import RecordingError, span_ns
 
-    for path in files:
-        if not path.is_file():
-            fail(f"{path}: no such file", code=2)
     try:
-        report = verify((one.key, one.payload) for path in files for one in read(path))
+        spans = [span_ns(path) for path in files]
     except RecordingError as error:
         fail(str(error))
-    checked = (
-        f"{report.decided_again} of {report.verdicts} verdicts decided again, {report.inputs_checked} inputs checked"
-    )
-    if report.difference:
-        fail(f"{report.difference} ({checked} before that)")
-    if not report.decided_again:
-        fail("nothing to verify: the recording has no fusion/trace beside its verdicts")
-    print(f"identical: {checked}")
+    return (max(end for _, end in spans) - min(start for start, _ in spans)) / 1e9 if all(map(any, spans)) else 0.0

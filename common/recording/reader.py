@@ -11,6 +11,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
+from mcap.summary import Summary as McapSummary
 from zstandard import ZstdError
 
 SPOTTER_SCHEMA = "spotter."
@@ -84,6 +85,42 @@ def is_complete(path: Path) -> bool:
             raise RecordingError(f"{path}: not an MCAP file")
         stream.seek(-len(MAGIC), 2)
         return stream.tell() > len(MAGIC) and stream.read() == MAGIC
+
+
+def files_in(path: Path) -> list[Path]:
+    """The recording itself, or the files of a folder in the order in which they were written."""
+    return sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+
+
+def expected_messages(path: Path) -> int:
+    """How many messages of ours the index says there are; 0 when there is no index: for progress bars.
+
+    Raises:
+        RecordingError: not an MCAP file, or its index is damaged.
+    """
+    summary = _index(path)
+    if summary is None or summary.statistics is None:
+        return 0
+    counts = summary.statistics.channel_message_counts
+    ours = (one for one in summary.channels.values() if _is_ours(summary.schemas.get(one.schema_id), one))
+    return sum(counts.get(channel.id, 0) for channel in ours)
+
+
+def span_ns(path: Path) -> tuple[int, int]:
+    """First and last log time by the index, (0, 0) when there is none. Raises as ``expected_messages``."""
+    summary = _index(path)
+    statistics = summary.statistics if summary else None
+    return (statistics.message_start_time, statistics.message_end_time) if statistics else (0, 0)
+
+
+def _index(path: Path) -> McapSummary | None:
+    if not is_complete(path):
+        return None
+    try:
+        with path.open("rb") as stream:
+            return make_reader(stream, validate_crcs=True).get_summary()
+    except DAMAGE as error:
+        raise RecordingError(f"{path}: damaged: {error}") from None
 
 
 def summarise(path: Path) -> Summary:

@@ -7,11 +7,13 @@ import logging
 import msgspec
 
 from common.launch import service_app
+from common.raw import RawTap, changes
 from common.runtime import Service
-from common.topics import INFRA_CLUSTERS, INFRA_POINTS, INFRA_TRACKS
+from common.topics import INFRA_CLUSTERS, INFRA_POINTS, INFRA_RAW, INFRA_TRACKS
 from services.infra_lidar.commands import add_commands
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.pipeline import InfraLidarPipeline
+from services.infra_lidar.raw import hand_over
 from services.infra_lidar.recalibrate import RecalibrationRequest, recalibrate
 from services.infra_lidar.source import open_source, surveyed_pose
 from services.infra_lidar.store import Store
@@ -22,7 +24,7 @@ log = logging.getLogger(__name__)
 
 def run(config: InfraLidarConfig) -> bool:
     """Work until interrupted or until the source ends."""
-    config = msgspec.structs.replace(config, T_map_sensor=surveyed_pose(config))
+    configured, config = config, msgspec.structs.replace(config, T_map_sensor=surveyed_pose(config))
     store = Store(config.calibration.store)
     with Service("infra_lidar", config) as service:
         frames = open_source(config, service.report)
@@ -32,6 +34,7 @@ def run(config: InfraLidarConfig) -> bool:
         publish_tracks = service.publisher(INFRA_TRACKS)
         publish_clusters = service.publisher(INFRA_CLUSTERS)
         publish_points = service.publisher(INFRA_POINTS)
+        raw = RawTap(service.publisher(INFRA_RAW), fitted=changes(configured, config))
         for stamp_ns, frame in frames:
             if request.taken():
                 pipeline.recalibrate()
@@ -41,6 +44,7 @@ def run(config: InfraLidarConfig) -> bool:
                 publish_clusters(result.clusters_message())
             if publish_points.wanted:
                 publish_points(result.points_message(config.points_limit))
+            hand_over(raw, stamp_ns, frame)
             store.keep(pipeline)
         log.info("the source has ended")
     return service.closed_cleanly

@@ -53,6 +53,7 @@ class OusterFormat:
     """
 
     def __init__(self, metadata: str) -> None:
+        self.metadata = metadata
         try:
             document = json.loads(metadata)
             flat: dict[str, Any] = {}
@@ -162,7 +163,7 @@ def decode_turn(turn: PacketTurn, layout: OusterFormat) -> Revolution:
     reflectivity = pixels[..., at : at + size].copy().view(p.reflectivity_type)[..., 0].astype(np.uint16)
     points = np.empty((range_mm.size, 5), np.float32)
     count = _project(range_mm, reflectivity, measurement, layout.direction, layout.origin_m, points)
-    return Revolution(points[:count], turn.stamp_ns, turn.quality)
+    return Revolution(points[:count], turn.stamp_ns, turn.quality, turn.packets, layout.metadata)
 
 
 @kernel

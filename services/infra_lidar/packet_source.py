@@ -44,6 +44,8 @@ class Frame:
     points: np.ndarray
     received_ns: int
     quality: FrameQuality = field(default_factory=FrameQuality)
+    packets: list[bytes] = field(default_factory=list)  # what it was decoded from, if it came in packets
+    metadata: str = ""  # of an Ouster
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,8 @@ class Recorded:
     points: np.ndarray
     stamp_s: float | None
     quality: FrameQuality = field(default_factory=FrameQuality)
+    packets: list[bytes] = field(default_factory=list)
+    metadata: str = ""
 
 
 class PacketParser(Protocol):
@@ -91,12 +95,16 @@ def _decode(packets: Iterator[tuple[int, bytes]], parser: PacketParser, report: 
         revolution = parser.feed(packet, stamp_ns)
         if revolution is not None:
             _count(revolution.quality, report)
-            yield Recorded(revolution.points, revolution.stamp_ns / 1e9, revolution.quality)
+            yield _recorded(revolution)
     report.bad_input("packet of another kind", parser.rejected)
     if isinstance(parser, OusterParser):  # its last revolution has no packet after it
         last = parser.flush()
         if last is not None:
-            yield Recorded(last.points, last.stamp_ns / 1e9, last.quality)
+            yield _recorded(last)
+
+
+def _recorded(one: Revolution) -> Recorded:
+    return Recorded(one.points, one.stamp_ns / 1e9, one.quality, one.packets, one.metadata)
 
 
 def _bag_packets(path: Path) -> Iterator[tuple[int, bytes]]:
@@ -143,7 +151,8 @@ def live_packets(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
             if revolution is None:
                 report.state("disconnected", f"no packets on UDP port {port}; check the sensor's power, cable, address")
                 continue
-            yield revolution.stamp_ns, Frame(revolution.points, revolution.stamp_ns, revolution.quality)
+            one = revolution
+            yield one.stamp_ns, Frame(one.points, one.stamp_ns, one.quality, one.packets, one.metadata)
     finally:
         receiver.close()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,11 +13,16 @@ FULL_TURN_SHARE = 0.97
 
 @dataclass(frozen=True)
 class Revolution:
-    """points: (N, 5) float32 x y z (m, sensor frame) intensity ring. stamp_ns: UTC ns of its last packet."""
+    """points: (N, 5) float32 x y z (m, sensor frame) intensity ring. stamp_ns: UTC ns of its last packet.
+
+    packets: what it was decoded from; metadata: what one needs to decode them again (Ouster).
+    """
 
     points: np.ndarray
     stamp_ns: int
     quality: FrameQuality
+    packets: list[bytes] = field(default_factory=list)
+    metadata: str = ""
 
 
 @dataclass(frozen=True)

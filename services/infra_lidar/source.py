@@ -4,6 +4,7 @@
 ``sim:crossing?t0=3``                     the simulated world, 10 revolutions a second
 ``file:FOLDER?rate=1&loop=1``             frames ``.npz``, ``.pcd`` or ``.bin``, in the order of names
 ``file:RECORDING.pcap`` / ``.db3``        Ouster or Velodyne packets as captured, ROS 2 bag of Velodyne packets
+``mcap:RECORDING?rate=1``                 what ``spotter record --raw infra_lidar`` has recorded
 ``velodyne://:2368`` / ``ouster://HOST``  live UDP packets
 ========================================  ==========================================================
 """
@@ -19,17 +20,21 @@ import numpy as np
 
 from common.clock import monotonic_s, utc_ns
 from common.config import ConfigError
+from common.recording.raw import MCAP_PARAMETERS, fitted_as_recorded
 from common.source_url import SourceUrl, parse_source
 from common.status import Report
+from common.topics import INFRA_RAW
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.packet_source import Frame, Recorded, live_packets, recorded_revolutions
 from services.infra_lidar.parser import FrameError, parse_frame
+from services.infra_lidar.raw import recorded_frames
 
 log = logging.getLogger(__name__)
 
 SCHEMES = {
     "sim": ("t0", "columns", "rate_hz"),
     "file": ("rate", "loop", "cut", "metadata"),
+    "mcap": MCAP_PARAMETERS,
     "velodyne": ("cut",),
     "ouster": ("metadata", "port"),
 }
@@ -49,12 +54,16 @@ def open_source(config: InfraLidarConfig, report: Report) -> Iterator[tuple[int,
         return _simulated(url)
     if url.scheme == "file":
         return _file(url, report)
+    if url.scheme == "mcap":
+        return recorded_frames(url)
     return live_packets(url, report)
 
 
 def surveyed_pose(config: InfraLidarConfig) -> tuple[float, ...]:
-    """T_map_sensor as configured; the simulator knows where its own pole stands."""
+    """T_map_sensor as configured; the simulator, and a recording of it, know where its own pole stands."""
     url = parse_source(config.source, SCHEMES)
+    if url.scheme == "mcap":
+        return fitted_as_recorded(config, url, INFRA_RAW).T_map_sensor
     if config.T_map_sensor or url.scheme != "sim":
         return config.T_map_sensor
     from common.sim import world
@@ -104,7 +113,8 @@ def _play(url: SourceUrl, recording: Callable[[], Iterator[Recorded]]) -> Iterat
         for frame in recording():
             stamp_ns = clock.next(_gap_s(previous_s, frame.stamp_s), rate)
             previous_s, anything = frame.stamp_s, True
-            yield stamp_ns, Frame(frame.points, utc_ns() if rate else stamp_ns, frame.quality)
+            received_ns = utc_ns() if rate else stamp_ns
+            yield stamp_ns, Frame(frame.points, received_ns, frame.quality, frame.packets, frame.metadata)
         if not anything:
             raise ConfigError(f"source {url}: no frame in it can be read")
         if not url.flag("loop"):

@@ -97,7 +97,7 @@ def decode_turn(turn: PacketTurn) -> Revolution:
     ).astype(np.float32)
     points = np.empty((len(raw) * 384, 5), np.float32)
     count = _decode(raw, lasers, _COS_SIN, points)
-    return Revolution(points[:count], turn.stamp_ns, turn.quality)
+    return Revolution(points[:count], turn.stamp_ns, turn.quality, turn.packets)
 
 
 def _head_rate_deg_per_s(raw: np.ndarray) -> float:

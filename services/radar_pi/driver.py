@@ -56,6 +56,7 @@ class RadarFrame(NamedTuple):
     samples: np.ndarray  # (rx, chirp, sample) uint16, 0..4095
     epoch: int  # rises whenever the chip was restarted: what was learned before is void
     note: str  # what is wrong with the link although frames arrive; empty if nothing
+    ego_mps: float | None = None  # of a recording of the bus: what the vehicle's speed was known to be
 
 
 class Driver:

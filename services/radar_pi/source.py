@@ -16,11 +16,12 @@ from common.clock import monotonic_s, utc_ns
 from common.config import ConfigError
 from common.messages import EgoMotion
 from common.pubsub import Latest
+from common.recording.raw import MCAP_PARAMETERS, fitted_as_recorded, replayed
 from common.sim import bgt60, world
 from common.sim.model import DeviceUnplugged
 from common.source_url import SourceUrl, parse_source
 from common.status import Report
-from common.topics import EGO_MOTION
+from common.topics import EGO_MOTION, RADAR_RAW
 from services.radar_pi.axes import derive_axes
 from services.radar_pi.config import RadarConfig, WaveformConfig
 from services.radar_pi.driver import RadarFrame
@@ -29,7 +30,7 @@ from services.radar_pi.parser import RecordingError
 from services.radar_pi.recording import Recording, open_recording
 from services.radar_pi.spi_source import open_spi
 
-SCHEMES: dict[str, tuple[str, ...]] = {"sim": ("t0",), "file": ("rate", "loop"), "spi": ()}
+SCHEMES: dict[str, tuple[str, ...]] = {"sim": ("t0",), "file": ("rate", "loop"), "spi": (), "mcap": MCAP_PARAMETERS}
 
 Frames = Iterator[RadarFrame]
 
@@ -43,6 +44,8 @@ def with_waveform_of_source(config: RadarConfig) -> RadarConfig:
     url = parse_source(config.source, SCHEMES)
     if url.scheme == "file":
         return msgspec.structs.replace(config, waveform=_recording(url).waveform)
+    if url.scheme == "mcap":
+        return fitted_as_recorded(config, url, RADAR_RAW)
     if url.scheme == "spi":
         return msgspec.structs.replace(config, waveform=plan(config.waveform).waveform)
     return config
@@ -59,6 +62,8 @@ def open_source(config: RadarConfig, report: Report) -> Frames:
         return _replay(_recording(url), url.number("rate", 1.0), loop=url.flag("loop"))
     if url.scheme == "spi":
         return open_spi(url.target, config, report)
+    if url.scheme == "mcap":
+        return _recorded_on_the_bus(url)
     if url.target not in world.SCENARIOS:
         raise ConfigError(f"source {url}: no such scenario; known: {', '.join(world.SCENARIOS)}")
     return _simulate(url, config.waveform, report)
@@ -103,6 +108,14 @@ def _replay(recording: Recording, rate: float, *, loop: bool) -> Frames:
         if not loop:
             return
         turn += 1
+
+
+def _recorded_on_the_bus(url: SourceUrl) -> Frames:
+    """Raw frames of ``spotter record --raw radar``, each with the speed that the service had been told."""
+    for piece in replayed(url, RADAR_RAW):
+        note, speed_mps = str(piece.about.get("note", "")), piece.about.get("speed_mps")
+        ego_mps = float(speed_mps) if isinstance(speed_mps, int | float) else None
+        yield RadarFrame(piece.stamp_ns, piece.received_ns, piece.data, piece.epoch, note, ego_mps)
 
 
 def _simulate(url: SourceUrl, waveform: WaveformConfig, report: Report) -> Frames:

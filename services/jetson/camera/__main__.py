@@ -6,8 +6,9 @@ Publishes CameraDetections for every picture it has time for, and the picture it
 from __future__ import annotations
 
 from common.launch import service_app
+from common.raw import RawTap, changes
 from common.runtime import Service
-from common.topics import CAMERA_DETECTIONS, CAMERA_IMAGE
+from common.topics import CAMERA_DETECTIONS, CAMERA_IMAGE, CAMERA_RAW
 from services.jetson.camera import calibrate
 from services.jetson.camera.annotate import picture
 from services.jetson.camera.config import CameraConfig
@@ -17,10 +18,11 @@ from services.jetson.camera.source import fitted, open_source
 
 
 def run(config: CameraConfig) -> bool:
-    config = fitted(config)
+    configured, config = config, fitted(config)
     pipeline = CameraPipeline(config)
     with Service("camera", config) as service:
         publish, publish_image = service.publisher(CAMERA_DETECTIONS), service.publisher(CAMERA_IMAGE)
+        raw = RawTap(service.publisher(CAMERA_RAW), fitted=changes(configured, config))
         due = RateLimit(config.image.rate_hz)
         source, lossless = open_source(config, service.report)
         with NewestFrames(source, service.report, lossless) as frames:
@@ -30,6 +32,7 @@ def run(config: CameraConfig) -> bool:
                 publish(seen)
                 if publish_image.wanted and due(frame.stamp_ns):
                     publish_image(picture(frame.image, seen, config.zone, config.image))
+                raw("bgr8", frame.stamp_ns, frame.image, frame.received_ns)
     return service.closed_cleanly
 
 

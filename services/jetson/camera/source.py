@@ -2,6 +2,7 @@
 
 sim:crossing?t0=0        the simulated camera
 file:PATH?rate=1&loop=1  a video, a picture, or a folder of pictures (fps=..); rate=0 = as fast as it is read
+mcap:PATH?rate=1&loop=1  the pictures of ``spotter record --raw camera``; rate=0 as above
 v4l2:0  v4l2:/dev/video0 a USB camera          } through a child process
 csi:0                    a camera on the CSI port }
 """
@@ -21,10 +22,12 @@ import numpy as np
 
 from common.clock import monotonic_s, utc_ns
 from common.config import ConfigError
+from common.recording.raw import MCAP_PARAMETERS, fitted_as_recorded, replayed
 from common.sim import camera as simulated
 from common.sim.world import DeviceUnplugged, T_vehicle_camera, scenario_named, scenario_time
 from common.source_url import SourceUrl, parse_source
 from common.status import Report
+from common.topics import CAMERA_RAW
 from services.jetson.camera.child import CaptureChild, CaptureLost
 from services.jetson.camera.config import CameraConfig, CaptureConfig, LensConfig
 from services.jetson.camera.distance import scaled
@@ -33,7 +36,7 @@ from services.jetson.camera.gstreamer import advice, command, device_path
 
 log = logging.getLogger("source")
 
-SCHEMES = {"sim": ("t0",), "file": ("rate", "loop", "fps"), "csi": (), "v4l2": ()}
+SCHEMES = {"sim": ("t0",), "file": ("rate", "loop", "fps"), "csi": (), "v4l2": (), "mcap": MCAP_PARAMETERS}
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".webp"}
 RESTATE_S = 0.2  # how often a lost camera is said to be lost while nothing else happens
 
@@ -51,6 +54,8 @@ def open_source(config: CameraConfig, report: Report) -> tuple[Source, bool]:
         return partial(_simulated, url, _known_scenario(url), config.capture, report), False
     if url.scheme == "file":
         return partial(_replayed, url, *_recording(url, config.capture)), url.number("rate", 1.0) == 0
+    if url.scheme == "mcap":
+        return partial(_recorded_on_the_bus, url), url.number("rate", 1.0) == 0
     command(url, config.capture)  # a wrong placeholder is told now, not in the capture thread
     return partial(_captured, url, config.capture, report), False
 
@@ -64,12 +69,19 @@ def fitted(config: CameraConfig) -> CameraConfig:
     scheme, _, target = config.source.partition(":")
     if scheme == "file" and Path(target.partition("?")[0]).suffix.lower() in PICTURES:
         return msgspec.structs.replace(config, health=msgspec.structs.replace(config.health, frozen_after_s=0.0))
+    if scheme == "mcap":
+        return fitted_as_recorded(config, parse_source(config.source, SCHEMES), CAMERA_RAW)
     if scheme != "sim":
         return config
     width_px, height_px = config.capture.width_px, config.capture.height_px
     native = LensConfig(f_x_px=simulated.F_Y_PX, f_y_px=simulated.F_Y_PX)
     mount = msgspec.structs.replace(config.mount, height_m=float(T_vehicle_camera[2, 3]), pitch_rad=0.0)
     return msgspec.structs.replace(config, lens=scaled(native, width_px, height_px), mount=mount)
+
+
+def _recorded_on_the_bus(url: SourceUrl, stop: threading.Event) -> Iterator[Frame]:
+    for piece in replayed(url, CAMERA_RAW, stop.wait):
+        yield Frame(piece.stamp_ns, piece.received_ns, piece.data)
 
 
 def _known_scenario(url: SourceUrl) -> str:

@@ -10,9 +10,10 @@ import typer
 
 from common.clock import monotonic_s
 from common.launch import load_config, service_app
+from common.raw import RawTap
 from common.runtime import Service
 from common.status import Report
-from common.topics import LIDAR_SCAN, LIDAR_ZONES
+from common.topics import LIDAR_RAW, LIDAR_SCAN, LIDAR_ZONES
 from services.jetson.lidar.config import LidarConfig
 from services.jetson.lidar.filters import Fate
 from services.jetson.lidar.pipeline import LidarPipeline
@@ -23,7 +24,8 @@ def run(config: LidarConfig) -> bool:
     pipeline = LidarPipeline(config)
     with Service("lidar", config) as service:
         publish_zones, publish_scan = service.publisher(LIDAR_ZONES), service.publisher(LIDAR_SCAN)
-        for stamp_ns, scan in open_source(config, service.report):
+        raw = RawTap(service.publisher(LIDAR_RAW))
+        for stamp_ns, scan in open_source(config, service.report, raw):
             begin_s = monotonic_s()
             zones = pipeline.process(stamp_ns, scan)
             zones.stage_ms = {"zones": (monotonic_s() - begin_s) * 1e3}

@@ -18,10 +18,12 @@ class ScanDecoder:
 
     def __init__(self, config: LidarConfig, report: Report, max_drift: float = MAX_DRIFT) -> None:
         self._config, self._report, self._max_drift = config, report, max_drift
+        self.restarts = -1
         self.restart()
 
     def restart(self) -> None:
         """Forget the stream so far: the device is a new one."""
+        self.restarts += 1
         self.parser = Ld06Parser(self._config.scan.sample_rate_hz, self._config.mounting.clockwise)
         self.assembler = ScanAssembler(self._config, self._max_drift)
         self._told: dict[str, int] = {}

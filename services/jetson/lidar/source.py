@@ -1,6 +1,6 @@
-"""Where revolutions come from: a serial port, a file of raw bytes, or the simulated world.
+"""Where revolutions come from: a serial port, a file of raw bytes, a recording of the bus, or the simulated world.
 
-All three are streams of bytes with the time of their arrival; behind that, everything is the same.
+All are streams of bytes with the time of their arrival; behind that, everything is the same.
 """
 
 from __future__ import annotations
@@ -17,8 +17,11 @@ import serial
 from common.clock import monotonic_s, utc_ns
 from common.config import ConfigError
 from common.messages import LaserScan
+from common.raw import RawTap, unheard
+from common.recording.raw import MCAP_PARAMETERS, replayed
 from common.source_url import SourceUrl, parse_source
 from common.status import Report
+from common.topics import LIDAR_RAW
 from services.jetson.lidar.config import LidarConfig, SerialSection
 from services.jetson.lidar.decoder import ScanDecoder
 from services.jetson.lidar.parser import PACKET_BYTES, POINTS
@@ -26,7 +29,7 @@ from services.jetson.lidar.timing import MAX_DRIFT
 
 Chunks = Iterator[tuple[int, bytes]]  # (UTC ns of arrival, bytes); b"" means that nothing came
 
-SCHEMES = {"serial": (), "file": ("rate", "loop"), "sim": ("t0",)}
+SCHEMES = {"serial": (), "file": ("rate", "loop"), "sim": ("t0",), "mcap": MCAP_PARAMETERS}
 FILE_CHUNK_BYTES = 8 * PACKET_BYTES
 READ_TIMEOUT_S = 0.05
 LONGEST_READ_BYTES = 8 * PACKET_BYTES
@@ -34,17 +37,22 @@ SIM_TICK_S = 0.01
 REPLAY_DRIFT = 10.0  # a replay may run slower than the recording: stamps follow the arrival
 
 
-def open_source(config: LidarConfig, report: Report) -> Iterator[tuple[int, LaserScan]]:
-    """Yield ``(stamp_ns, scan)`` as each revolution closes.
+def open_source(
+    config: LidarConfig, report: Report, raw: RawTap | Callable[..., None] = unheard
+) -> Iterator[tuple[int, LaserScan]]:
+    """Yield ``(stamp_ns, scan)`` as each revolution closes; ``raw`` gets the bytes.
 
     Raises:
         ConfigError: an unknown scheme or parameter, or a file that cannot be read.
     """
     url = parse_source(config.source, {name: tuple(params) for name, params in SCHEMES.items()})
-    decoder = ScanDecoder(config, report, REPLAY_DRIFT if url.scheme == "file" else MAX_DRIFT)
+    true_pace = url.scheme in ("serial", "sim") or (url.scheme == "mcap" and url.number("rate", 1.0) in (0.0, 1.0))
+    decoder = ScanDecoder(config, report, MAX_DRIFT if true_pace else REPLAY_DRIFT)
     for arrival_ns, data in _chunks(url, config, decoder, report):
         for scan in decoder.feed(arrival_ns, monotonic_s(), data):
             yield scan.stamp_ns, scan
+        if data:
+            raw("ld06", arrival_ns, data, epoch=decoder.restarts)
 
 
 def _chunks(url: SourceUrl, config: LidarConfig, decoder: ScanDecoder, report: Report) -> Chunks:
@@ -52,6 +60,8 @@ def _chunks(url: SourceUrl, config: LidarConfig, decoder: ScanDecoder, report: R
         return SerialBytes(url.target, config.serial, report, decoder.restart, decoder.wanted_bytes).chunks()
     if url.scheme == "file":
         return file_chunks(url, config.scan.sample_rate_hz, decoder.restart)
+    if url.scheme == "mcap":
+        return recorded_chunks(url, decoder.restart)
     return sim_chunks(url)
 
 
@@ -81,6 +91,20 @@ def file_chunks(url: SourceUrl, sample_rate_hz: float, restart: Callable[[], Non
         if not url.flag("loop"):
             return
         restart()
+
+
+def recorded_chunks(url: SourceUrl, restart: Callable[[], None]) -> Chunks:
+    """The bytes of a recording as they arrived; the port was opened anew where the epoch changes.
+
+    Raises:
+        ConfigError: no recording, or one without raw bytes of a lidar.
+    """
+    epoch: int | None = None
+    for piece in replayed(url, LIDAR_RAW):
+        if epoch is not None and (piece.epoch != epoch or piece.index == 0):
+            restart()
+        epoch = piece.epoch
+        yield piece.stamp_ns, piece.data.tobytes()
 
 
 def sim_chunks(url: SourceUrl) -> Chunks:

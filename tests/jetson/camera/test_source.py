@@ -113,7 +113,7 @@ def test_only_the_fastest_replay_waits_for_the_reader(folder: Path, report: Repo
 @pytest.mark.parametrize(
     ("url", "told"),
     [
-        ("usb:0", "expected one of csi:, file:, sim:, v4l2:"),
+        ("usb:0", "expected one of csi:, file:, mcap:, sim:, v4l2:"),
         ("sim:nowhere", "no scenario 'nowhere'"),
         ("sim:crossing?rate=2", "no parameter 'rate' for sim:"),
         ("file:/nonexistent/video.mp4", "no such file or folder"),

@@ -1,0 +1,57 @@
+"""A recorder makes itself known on the bus like a service: the dashboard and `spotter top` show that it runs.
+
+Where access rules are in force it is seen when it runs on a host; a laptop may only listen there.
+"""
+
+from __future__ import annotations
+
+import re
+import socket
+import uuid
+from pathlib import Path
+
+import zenoh
+
+from common.clock import utc_ns
+from common.codec import encode, encoding_of
+from common.messages import ServiceStatus
+from common.recording.recorder import RecorderStatus
+from common.status import Report
+from common.topics import status_topic, token_key
+
+SERVICE = "recorder"
+
+
+class RecorderPresence:
+    """Token and status ``<host>/recorder/status``; ``tell`` it the recorder's numbers about once a second."""
+
+    def __init__(self, session: zenoh.Session, host: str) -> None:
+        instance = uuid.uuid4().hex[:8]
+        self._report, self._seq, self._lost = Report(instance), 0, 0
+        self._token = session.liveliness().declare_token(token_key(host, SERVICE, instance))
+        self._publisher = session.declare_publisher(
+            status_topic(SERVICE).key(host), encoding=encoding_of(ServiceStatus)
+        )
+
+    def tell(self, status: RecorderStatus) -> None:
+        """Publish what is being recorded; degraded once messages were lost."""
+        self._report.dropped(status.dropped - self._lost)
+        self._lost = status.dropped
+        self._report.state("degraded" if status.dropped else "online", self.words(status))
+        message = self._report.snapshot()
+        message.seq, message.sent_ns, message.published = self._seq, utc_ns(), status.messages
+        self._publisher.put(encode(message))
+        self._seq += 1
+
+    @staticmethod
+    def words(status: RecorderStatus) -> str:
+        """For a person: file, messages, megabytes, lost, and what is left of the disk."""
+        return (
+            f"{Path(status.file).name}: {status.messages} messages, {status.bytes / 1e6:.1f} MB, "
+            f"{status.dropped} dropped, {status.free_bytes / 1e9:.0f} GB free"
+        )
+
+
+def this_machine() -> str:
+    """The machine's own name, fit for a key."""
+    return re.sub(r"[^a-z0-9_]", "_", socket.gethostname().lower()) or "laptop"
