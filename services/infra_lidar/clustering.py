@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from services.infra_lidar import kernels_adopt as adoption
 from services.infra_lidar import kernels_clusters as clusters
 from services.infra_lidar import kernels_labels as labels
 from services.infra_lidar import kernels_merge as merging
@@ -21,7 +22,7 @@ from services.infra_lidar.ground import Levelled
 
 TALL_BAND_M = 0.4  # a component with points in the top of the body band goes on above it
 TALL_SHARE = 0.03
-MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by
+MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by: they can only be adopted
 
 
 @dataclass(frozen=True)
@@ -152,8 +153,8 @@ class Clustering:
 
     @property
     def _fewest_points(self) -> int:
-        """Components with fewer points need no look: they are neither clusters nor pieces of one."""
-        return MIN_FRAGMENT_POINTS if self._config.merge == "fragments" else self._config.min_points
+        """Components with fewer points are not looked at."""
+        return 1 if self._config.merge == "fragments" else self._config.min_points
 
     def _arrange(self, label: np.ndarray, components: int, points: _Points, side: int, fewest: int = 1) -> _Grouped:
         """Points by label, those of labels with ``fewest`` points or more, as copies that lie together."""
@@ -181,9 +182,10 @@ class Clustering:
         return self._arrange(label, len(used) - int(used[0] < 0), found.points, 1 - found.side)
 
     def _join(self, found: _Grouped) -> _Grouped:
-        """Join fragments of vehicles."""
+        """Join fragments of vehicles, and to tall ones the single returns along a side seen at a small angle."""
         group = np.empty(len(found.box), np.int32)
         merging.merge_fragments(found.box, np.diff(found.offsets), MIN_FRAGMENT_POINTS, group)
+        adoption.adopt_strays(found.box, np.diff(found.offsets), self._config.min_points, group)
         return self._regroup(found, group)
 
     def _filter(self, found: _Grouped) -> _Grouped:

@@ -78,6 +78,10 @@ def measure(x, y, z, above, offsets, box):  # type: ignore[no-untyped-def]
         if n <= 0:
             box[k, :] = 0.0
             continue
+        if n == 1:  # most pieces are a single return
+            box[k, 0], box[k, 1], box[k, 2], box[k, 7] = x[first], y[first], z[first], above[first]
+            box[k, 3:7] = 0.0
+            continue
         bx, by = x[first:last], y[first:last]
         sx, sy, sxx, sxy, syy = _moments(bx, by)
         mx, my = sx / n, sy / n

@@ -1,0 +1,138 @@
+"""Compiled adoption of stray returns: what a grazing view leaves of the long side of a bus or truck.
+
+Along a side seen at a small angle the returns of neighbouring columns lie metres apart: single points that make no
+piece. A tall group of pieces (an end face, as a rule) takes those that continue it in one line, as long as the whole
+fits a large vehicle and the strays lie on its outline: on a side or on the roof. Leaves of a hedge lie anywhere. Only
+what belongs to no cluster is taken, so nobody loses a point.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.kernels_merge import LARGE_GAP_M, LARGE_LENGTH_M, LARGE_TOP_M, SMALL_TOP_M
+
+CROSS_M, CROSS_SLOPE = 0.25, 0.006  # a gap, seen from the sensor, is at most two beams wide and 25 cm
+WIDTH_M = 2.9  # a bus is 2.55 m wide; the rest is noise and a direction that is a little off
+FACE_M = 0.2  # this near the outline a stray is on it
+OUTLINE_SHARE = 0.7
+TURNS_RAD = (0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12)  # directions to try about that of a group
+
+
+@kernel
+def _interval(box, k, c, s):  # type: ignore[no-untyped-def]
+    """Extent of footprint k along the direction (c, s) and across it."""
+    u, v = c * box[k, 0] + s * box[k, 1], c * box[k, 1] - s * box[k, 0]
+    own_c, own_s = np.cos(box[k, 6]), np.sin(box[k, 6])
+    dot, cross = abs(own_c * c + own_s * s), abs(own_c * s - own_s * c)
+    half_u = 0.5 * (box[k, 3] * dot + box[k, 4] * cross)
+    half_v = 0.5 * (box[k, 3] * cross + box[k, 4] * dot)
+    return u - half_u, u + half_u, v - half_v, v + half_v
+
+
+@inline
+def _longest_gap(box, k, c, s):  # type: ignore[no-untyped-def]
+    """The gap before piece k that two beams explain, along (c, s); the sensor is above (0, 0)."""
+    distance = max(np.hypot(box[k, 0], box[k, 1]), 1e-3)
+    sine = abs(c * box[k, 1] - s * box[k, 0]) / distance
+    return min(LARGE_GAP_M, (CROSS_M + CROSS_SLOPE * distance) / max(sine, 1e-3))
+
+
+@kernel
+def _grow(box, members, strays, yaw, strict, taken):  # type: ignore[no-untyped-def]
+    """Mark the strays that the members grow by along ``yaw``; returns how many.
+
+    ``strict``: only those on the outline, and none where they are few.
+    """
+    c, s = np.cos(yaw), np.sin(yaw)
+    u0 = v0 = np.inf
+    u1 = v1 = -np.inf
+    top = np.float32(0.0)
+    for k in members:
+        a, b, d, e = _interval(box, k, c, s)
+        u0, u1, v0, v1 = min(u0, a), max(u1, b), min(v0, d), max(v1, e)
+        top = max(top, box[k, 7] + box[k, 5])
+    taken[:] = False
+    if u1 - u0 > LARGE_LENGTH_M or v1 - v0 > WIDTH_M:
+        return 0
+    number = 0
+    for i in np.argsort(np.abs(c * box[strays, 0] + s * box[strays, 1] - 0.5 * (u0 + u1))):
+        k = strays[i]
+        a, b, d, e = _interval(box, k, c, s)
+        if max(a - u1, u0 - b) > _longest_gap(box, k, c, s):
+            continue
+        a, b, d, e = min(u0, a), max(u1, b), min(v0, d), max(v1, e)
+        if b - a <= LARGE_LENGTH_M and e - d <= WIDTH_M:
+            u0, u1, v0, v1 = a, b, d, e
+            top = max(top, box[k, 7] + box[k, 5])
+            taken[i] = True
+            number += 1
+    return _keep_outline(box, strays, c, s, v0, v1, top, taken) if strict else number
+
+
+@kernel
+def _keep_outline(box, strays, c, s, v0, v1, top, taken):  # type: ignore[no-untyped-def]
+    """Keep of the taken those on a side or on the roof; all go where those are few. Returns how many are left."""
+    number, on = 0, 0
+    for i in range(len(strays)):
+        if taken[i]:
+            number += 1
+            k = strays[i]
+            _, _, d, e = _interval(box, k, c, s)
+            taken[i] = (d - v0 < FACE_M) | (v1 - e < FACE_M) | (top - box[k, 7] - box[k, 5] < FACE_M)
+            on += taken[i]
+    if on < OUTLINE_SHARE * number:
+        taken[:] = False
+        return 0
+    return on
+
+
+@kernel
+def _near(box, members, loose):  # type: ignore[no-untyped-def]
+    """Loose pieces within a vehicle's length of the first member."""
+    k = members[0]
+    dx, dy = box[loose, 0] - box[k, 0], box[loose, 1] - box[k, 1]
+    return loose[dx * dx + dy * dy < np.float32(LARGE_LENGTH_M**2)]
+
+
+@kernel
+def _best(box, members, strays):  # type: ignore[no-untyped-def]
+    """(S,) bool: the strays that the members take in the direction in which they take most."""
+    taken, best = np.zeros(len(strays), np.bool_), np.zeros(len(strays), np.bool_)
+    most, yaw = 0, np.float64(0.0)
+    for k in members:
+        for quarter in range(2):
+            tried = box[k, 6] + 0.5 * np.pi * quarter
+            number = _grow(box, members, strays, tried, False, taken)
+            if number > most:
+                most, yaw = number, tried
+    most = 0
+    for turn in TURNS_RAD:
+        number = _grow(box, members, strays, yaw + turn, True, taken)
+        if number > most:
+            most = number
+            best[:] = taken
+    return best
+
+
+@kernel
+def adopt_strays(box, counts, min_points, group):  # type: ignore[no-untyped-def]
+    """Let tall groups of ``min_points`` or more take loose pieces, the largest group first.
+
+    box (K, 8) as measured by ``kernels_clusters.measure``, counts (K,) points; group (K,) is rewritten.
+    """
+    total = len(counts)
+    size, top = np.zeros(total, np.int64), np.zeros(total, np.float32)
+    for k in range(total):
+        size[group[k]] += counts[k]
+        top[group[k]] = max(top[group[k]], box[k, 7] + box[k, 5])
+    loose = np.flatnonzero((size[group] < min_points) & (box[:, 7] + box[:, 5] <= LARGE_TOP_M))
+    cores = np.flatnonzero((size >= min_points) & (top > SMALL_TOP_M) & (top <= LARGE_TOP_M))
+    for g in cores[np.argsort(-size[cores])]:
+        members = np.flatnonzero(group == g)
+        strays = _near(box, members, loose)
+        strays = strays[size[group[strays]] < min_points]
+        if len(strays):
+            for k in strays[_best(box, members, strays)]:
+                group[k] = g
