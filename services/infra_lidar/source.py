@@ -15,10 +15,11 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from common.clock import monotonic_s, utc_ns
+from common.clock import monotonic_s, utc_at, utc_ns
 from common.config import ConfigError
 from common.recording.raw import MCAP_PARAMETERS, fitted_as_recorded
 from common.source_url import SourceUrl, parse_source
@@ -28,6 +29,9 @@ from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.packet_source import Frame, Recorded, live_packets, recorded_revolutions
 from services.infra_lidar.parser import FrameError, parse_frame
 from services.infra_lidar.raw import recorded_frames
+
+if TYPE_CHECKING:
+    from common.sim.scenario_clock import ScenarioClock
 
 log = logging.getLogger(__name__)
 
@@ -74,20 +78,22 @@ def surveyed_pose(config: InfraLidarConfig) -> tuple[float, ...]:
 
 def _simulated(url: SourceUrl) -> Iterator[tuple[int, Frame]]:
     """The pole's sensor in a scenario, computed as fast as this machine can, at most at the nominal rate."""
-    from common.sim import lidar128, world  # the world is built only for those who look at it
+    from common.sim.scenario_clock import ScenarioClock  # the world is built only for those who look at it
 
-    scenario, columns = url.target or "crossing", int(url.number("columns", 1800))
-    period_ns = round(1e9 / url.number("rate_hz", 10.0))
-    t0_s = url.number("t0", 0.0) if "t0" in url.params else None
-    started_ns = utc_ns()
-    due_ns = started_ns - started_ns % period_ns + period_ns
+    return _turns(ScenarioClock(url, "crossing"), int(url.number("columns", 1800)), 1.0 / url.number("rate_hz", 10.0))
+
+
+def _turns(clock: ScenarioClock, columns: int, period_s: float) -> Iterator[tuple[int, Frame]]:
+    from common.sim import lidar128
+
+    due_s = monotonic_s() + period_s - utc_ns() * 1e-9 % period_s  # all poles turn together
     while True:
-        _wait_until(due_ns)
-        scan = lidar128.scan(scenario, world.scenario_time(scenario, due_ns, t0_s, started_ns=started_ns), columns)
+        time.sleep(max(0.0, due_s - monotonic_s()))
+        scan = lidar128.scan(clock.scenario, clock.at(due_s), columns)
         points = np.column_stack([scan.xyz, scan.intensity, scan.ring]).astype(np.float32)
-        yield due_ns, Frame(points, utc_ns())
-        now_ns = utc_ns()
-        due_ns = max(due_ns + period_ns, now_ns - now_ns % period_ns)
+        yield utc_at(due_s), Frame(points, utc_ns())
+        missed = int((monotonic_s() - due_s) / period_s)
+        due_s += max(1, missed) * period_s
 
 
 def _file(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
@@ -176,11 +182,5 @@ class _Playback:
             self._due_s += late_s
         elif late_s < 0.0:
             time.sleep(-late_s)
-        self._stamp_ns = max(self._stamp_ns + 1, utc_ns() - round(max(late_s, 0.0) * 1e9))
+        self._stamp_ns = utc_at(self._due_s)
         return self._stamp_ns
-
-
-def _wait_until(due_ns: int) -> None:
-    left_s = (due_ns - utc_ns()) / 1e9
-    if left_s > 0:
-        time.sleep(min(left_s, 1.0))

@@ -12,13 +12,14 @@ from pathlib import Path
 
 import msgspec
 
-from common.clock import monotonic_s, utc_ns
+from common.clock import monotonic_s, utc_at, utc_ns
 from common.config import ConfigError
 from common.messages import EgoMotion
 from common.pubsub import Latest
 from common.recording.raw import MCAP_PARAMETERS, fitted_as_recorded, replayed
-from common.sim import bgt60, world
+from common.sim import bgt60
 from common.sim.model import DeviceUnplugged
+from common.sim.scenario_clock import ScenarioClock
 from common.source_url import SourceUrl, parse_source
 from common.status import Report
 from common.topics import EGO_MOTION, RADAR_RAW
@@ -64,9 +65,7 @@ def open_source(config: RadarConfig, report: Report) -> Frames:
         return open_spi(url.target, config, report)
     if url.scheme == "mcap":
         return _recorded_on_the_bus(url)
-    if url.target not in world.SCENARIOS:
-        raise ConfigError(f"source {url}: no such scenario; known: {', '.join(world.SCENARIOS)}")
-    return _simulate(url, config.waveform, report)
+    return _simulate(ScenarioClock(url), config.waveform, report)
 
 
 class EgoSpeed:
@@ -97,14 +96,13 @@ def _replay(recording: Recording, rate: float, *, loop: bool) -> Frames:
     period_ns = round(recording.waveform.frame_period_s * 1e9)
     first_ns = int(recording.stamps_ns[0])
     length_ns = int(recording.stamps_ns[-1]) - first_ns + period_ns
-    start_s, start_ns, turn = monotonic_s(), utc_ns(), 0
+    start_s, turn = monotonic_s(), 0
     while True:
         for stamp_ns, frame in recording:
-            due_ns = stamp_ns - first_ns + turn * length_ns
+            due_s = start_s + (stamp_ns - first_ns + turn * length_ns) * 1e-9 / (rate or 1.0)
             if rate > 0:
-                due_ns = round(due_ns / rate)
-                time.sleep(max(0.0, start_s + due_ns * 1e-9 - monotonic_s()))
-            yield RadarFrame(start_ns + due_ns, utc_ns(), frame, epoch=turn, note="")
+                time.sleep(max(0.0, due_s - monotonic_s()))
+            yield RadarFrame(utc_at(due_s), utc_ns(), frame, epoch=turn, note="")
         if not loop:
             return
         turn += 1
@@ -118,19 +116,16 @@ def _recorded_on_the_bus(url: SourceUrl) -> Frames:
         yield RadarFrame(piece.stamp_ns, piece.received_ns, piece.data, piece.epoch, note, ego_mps)
 
 
-def _simulate(url: SourceUrl, waveform: WaveformConfig, report: Report) -> Frames:
+def _simulate(clock: ScenarioClock, waveform: WaveformConfig, report: Report) -> Frames:
     """The simulated world through the radar's eyes, at the waveform's frame rate; frames that came late are skipped."""
     sampled = simulator_waveform(waveform)
-    t0_s = url.number("t0", 0.0) if "t0" in url.params else None
-    start_s, start_ns = monotonic_s(), utc_ns()
-    number = 0
+    start_s, number = monotonic_s(), 0
     while True:
-        due_s = number * waveform.frame_period_s
-        time.sleep(max(0.0, start_s + due_s - monotonic_s()))
-        stamp_ns = start_ns + round(due_s * 1e9)
+        due_s = start_s + number * waveform.frame_period_s
+        time.sleep(max(0.0, due_s - monotonic_s()))
         try:
-            frame = bgt60.frame(url.target, world.scenario_time(url.target, stamp_ns, t0_s, start_ns), sampled)
-            yield RadarFrame(stamp_ns, utc_ns(), frame, epoch=0, note="")
+            frame = bgt60.frame(clock.scenario, clock.at(due_s), sampled)
+            yield RadarFrame(utc_at(due_s), utc_ns(), frame, epoch=0, note="")
         except DeviceUnplugged as error:
             report.state("disconnected", f"{error}: check the plug; trying again")
         except TimeoutError as error:

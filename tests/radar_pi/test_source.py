@@ -9,9 +9,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from common import clock as clocks
 from common.config import ConfigError, load
 from common.messages import EgoMotion
 from common.pubsub import Received
+from common.sim import scenario_clock
 from common.status import Report
 from services.radar_pi import source
 from services.radar_pi.config import RadarConfig, WaveformConfig
@@ -40,8 +42,9 @@ class ManualTime:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> ManualTime:
     manual = ManualTime()
-    monkeypatch.setattr(source, "monotonic_s", manual.monotonic_s)
-    monkeypatch.setattr(source, "utc_ns", manual.utc_ns)
+    for module in (clocks, scenario_clock, source):
+        monkeypatch.setattr(module, "monotonic_s", manual.monotonic_s)
+        monkeypatch.setattr(module, "utc_ns", manual.utc_ns)
     monkeypatch.setattr(source.time, "sleep", manual.sleep)
     return manual
 
@@ -95,7 +98,7 @@ def test_the_chips_waveform_is_the_quantised_one() -> None:
     ("text", "expected"),
     [
         ("file:/nowhere/a.radar", "No such file"),
-        ("sim:nothing", "no such scenario; known: crossing"),
+        ("sim:nothing", "no scenario 'nothing'; known: crossing"),
         ("serial:/dev/x", "expected one of"),
         ("sim:crossing?speed=2", "no parameter 'speed'"),
     ],

@@ -20,11 +20,12 @@ import cv2
 import msgspec
 import numpy as np
 
-from common.clock import monotonic_s, utc_ns
+from common.clock import monotonic_s, utc_at, utc_ns
 from common.config import ConfigError
 from common.recording.raw import MCAP_PARAMETERS, fitted_as_recorded, replayed
 from common.sim import camera as simulated
-from common.sim.world import DeviceUnplugged, T_vehicle_camera, scenario_named, scenario_time
+from common.sim.scenario_clock import ScenarioClock
+from common.sim.world import DeviceUnplugged, T_vehicle_camera
 from common.source_url import SourceUrl, parse_source
 from common.status import Report
 from common.topics import CAMERA_RAW
@@ -51,7 +52,7 @@ def open_source(config: CameraConfig, report: Report) -> tuple[Source, bool]:
     """
     url = parse_source(config.source, SCHEMES)
     if url.scheme == "sim":
-        return partial(_simulated, url, _known_scenario(url), config.capture, report), False
+        return partial(_simulated, ScenarioClock(url), config.capture, report), False
     if url.scheme == "file":
         return partial(_replayed, url, *_recording(url, config.capture)), url.number("rate", 1.0) == 0
     if url.scheme == "mcap":
@@ -84,25 +85,14 @@ def _recorded_on_the_bus(url: SourceUrl, stop: threading.Event) -> Iterator[Fram
         yield Frame(piece.stamp_ns, piece.received_ns, piece.data)
 
 
-def _known_scenario(url: SourceUrl) -> str:
-    try:
-        return scenario_named(url.target).name
-    except ValueError as error:
-        raise ConfigError(f"source {url}: {error}") from None
-
-
-def _simulated(
-    url: SourceUrl, scenario: str, config: CaptureConfig, report: Report, stop: threading.Event
-) -> Iterator[Frame]:
+def _simulated(clock: ScenarioClock, config: CaptureConfig, report: Report, stop: threading.Event) -> Iterator[Frame]:
     """Pictures of the simulated world at the capture rate."""
-    started_ns = utc_ns()
-    t0_s = url.number("t0", 0.0) if "t0" in url.params else None
     pace = Pace(1.0 / config.rate_hz, stop)
     while pace.wait():
-        stamp_ns = utc_ns()
-        t_s = scenario_time(scenario, stamp_ns, t0_s, started_ns)
+        now_s = monotonic_s()
+        stamp_ns, t_s = utc_at(now_s), clock.at(now_s)
         try:
-            image = simulated.image(scenario, t_s, config.width_px, config.height_px)
+            image = simulated.image(clock.scenario, t_s, config.width_px, config.height_px)
         except DeviceUnplugged as error:
             report.state("disconnected", f"{error}; plug the camera in")
             continue

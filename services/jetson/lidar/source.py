@@ -14,7 +14,7 @@ from pathlib import Path
 
 import serial
 
-from common.clock import monotonic_s, utc_ns
+from common.clock import monotonic_s, utc_at, utc_ns
 from common.config import ConfigError
 from common.messages import LaserScan
 from common.raw import RawTap, unheard
@@ -79,15 +79,15 @@ def file_chunks(url: SourceUrl, sample_rate_hz: float, restart: Callable[[], Non
         raise ConfigError(f"source {url}: the file is empty")
     rate = url.number("rate", 1.0)
     byte_s = POINTS / sample_rate_hz / PACKET_BYTES
-    begin_ns, sent = utc_ns(), 0
+    begin_s, sent = monotonic_s(), 0
     while True:
         for at in range(0, len(recording), FILE_CHUNK_BYTES):
             chunk = recording[at : at + FILE_CHUNK_BYTES]
             sent += len(chunk)
-            due_ns = begin_ns + int(sent * byte_s * 1e9 / (rate or 1.0))
+            due_s = begin_s + sent * byte_s / (rate or 1.0)
             if rate:
-                time.sleep(max(0.0, (due_ns - utc_ns()) * 1e-9))
-            yield due_ns, chunk
+                time.sleep(max(0.0, due_s - monotonic_s()))
+            yield utc_at(due_s), chunk
         if not url.flag("loop"):
             return
         restart()
@@ -110,18 +110,13 @@ def recorded_chunks(url: SourceUrl, restart: Callable[[], None]) -> Chunks:
 def sim_chunks(url: SourceUrl) -> Chunks:
     """The byte stream of the simulated LD06 as the world's clock goes on."""
     from common.sim import ld06
-    from common.sim.world import SCENARIOS, scenario_time
+    from common.sim.scenario_clock import ScenarioClock
 
-    if url.target not in SCENARIOS:
-        raise ConfigError(f"source {url}: no such scenario; known: {', '.join(sorted(SCENARIOS))}")
-    t0_s = url.number("t0", 0.0) if "t0" in url.params else None
-    started_ns = utc_ns()
-    last_s = scenario_time(url.target, started_ns, t0_s, started_ns=started_ns)
+    clock, last_s = ScenarioClock(url), monotonic_s()
     while True:
         time.sleep(SIM_TICK_S)
-        now_ns = utc_ns()
-        now_s = scenario_time(url.target, now_ns, t0_s, started_ns=started_ns)
-        yield now_ns, ld06.packets(url.target, last_s, now_s)
+        now_s = monotonic_s()
+        yield utc_at(now_s), ld06.packets(clock.scenario, clock.at(last_s), clock.at(now_s))
         last_s = now_s
 
 
