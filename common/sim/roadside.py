@@ -19,7 +19,7 @@ from common.sim.motion import Straight
 from common.sim.scene import Ground, Mount, Scene, bush, facade, post, tree, wall
 from common.sim.solids import Solids, box, join
 
-RoadsideKind = Literal["open", "level", "facade", "trees"]
+RoadsideKind = Literal["open", "level", "facade", "trees", "slope", "bus", "crowd"]
 LENGTH_S = 10.0
 REACH_M = 70.0  # objects stand or pass within this distance along the street
 _NORTH, _SOUTH = np.pi / 2, -np.pi / 2
@@ -29,6 +29,8 @@ _PARKING_X_M = (2.1, 13.7)
 _SQUARE_X_M = (17.0, 36.0)
 _NEAR_PAVEMENT_X_M = (-3.9, -1.0)
 _CROSSINGS_Y_M = (-9.0, 11.0)
+_SLOPE = {"slope": (0.05, 0.09)}
+_BUS_STOP_X_M, _CROWD_X_M, _CROWD_Y_M, _CROWD = 2.5, (-3.9, 5.0), (-6.0, 6.0), 50
 # Shares of the objects asked for.
 _MIX = {"group": 0.24, "pedestrian": 0.22, "cyclist": 0.14, "parked": 0.18, "car": 0.16, "bus": 0.03, "truck": 0.03}
 _SIZE_SPREAD = {
@@ -46,7 +48,8 @@ def roadside(seed: int, objects: int = 60, kind: RoadsideKind = "open") -> Scena
     Args:
         seed: everything follows from it; scenes of different seeds share only the plan of the street.
         kind: ``open`` slopes by about 2 % and bends; ``level`` does not; ``facade`` has a house 5 m behind the pole;
-            ``trees`` has trees beside it.
+            ``trees`` has trees beside it; ``slope`` falls by 5 to 9 %; with ``bus`` one stands at the kerb beside
+            the pole, with ``crowd`` fifty people stand around it.
 
     Raises:
         ValueError: unknown kind.
@@ -55,14 +58,14 @@ def roadside(seed: int, objects: int = 60, kind: RoadsideKind = "open") -> Scena
         raise ValueError(f"no roadside kind {kind!r}; known: {', '.join(get_args(RoadsideKind))}")
     rng = np.random.default_rng([seed, get_args(RoadsideKind).index(kind)])
     scene = _place(rng, kind)
-    cast = tuple(_Crowd(rng, objects).players())
+    cast = tuple(_Crowd(rng, objects).players(kind))
     return Scenario(f"roadside-{kind}-{seed}-{objects}", LENGTH_S, scene, cast)
 
 
 def _place(rng: np.random.Generator, kind: str) -> Scene:
     ground = Ground()
     if kind != "level":
-        slope, turn = rng.uniform(0.012, 0.028), rng.uniform(-np.pi, np.pi)
+        slope, turn = rng.uniform(*_SLOPE.get(kind, (0.012, 0.028))), rng.uniform(-np.pi, np.pi)
         bend = rng.uniform(-3e-4, 3e-4, 2)
         ground = Ground(slope * np.cos(turn), slope * np.sin(turn), bend[0], bend[1])
     mount = Mount(
@@ -132,10 +135,11 @@ class _Crowd:
     rng: np.random.Generator
     objects: int
 
-    def players(self) -> list[Player]:
+    def players(self, kind: str) -> list[Player]:
         """As many of each kind as the mix says, as far as there is room."""
         self._taken: list[tuple[float, float, float]] = []  # x, y, radius at the middle of the scenario
         self._cast: list[Player] = []
+        self._beside_the_pole(kind)
         speeds = [self.rng.uniform(6.0, 13.0) for _ in _LANES]  # one speed per lane: nobody runs into another
         for name, share in _MIX.items():
             goal = len(self._cast) + round(share * self.objects)
@@ -144,6 +148,15 @@ class _Crowd:
                     break
                 self._draw(name, speeds, goal - len(self._cast))
         return self._cast
+
+    def _beside_the_pole(self, kind: str) -> None:
+        """What may fool a calibration: a roof for a road, or hardly any road between the people."""
+        if kind == "bus":
+            self._add("bus", _BUS_STOP_X_M, self.rng.uniform(-5.0, 5.0), _NORTH, 0.0)
+        for _ in range(_CROWD if kind == "crowd" else 0):
+            x, y = self.rng.uniform(*_CROWD_X_M), self.rng.uniform(*_CROWD_Y_M)
+            if np.hypot(x, y) > 0.8:
+                self._add("pedestrian", x, y, self.rng.uniform(-np.pi, np.pi), 0.0)
 
     def _draw(self, name: str, speeds: list[float], room: int) -> None:
         rng = self.rng

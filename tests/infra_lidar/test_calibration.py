@@ -12,6 +12,7 @@ from services.infra_lidar.config import CalibrationConfig, GroundConfig
 from services.infra_lidar.ground import Ground
 
 CONFIG = CalibrationConfig(hypotheses=300)
+KINDS = ("open", "level", "facade", "trees", "slope", "bus", "crowd")
 
 
 def _angle_deg(a, b):
@@ -33,7 +34,7 @@ def test_a_plane_is_found_at_any_mounting(plane_cloud, roll, pitch, height, seed
     assert np.abs(np.median(transform_points(found.T_level_sensor, near)[:, 2])) < 0.01
 
 
-@pytest.mark.parametrize("kind", ["open", "level", "facade", "trees"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_streets_are_levelled_by_the_road_at_the_foot(scene_frame, kind):
     errors = []
     for seed in (0, 1, 2):
@@ -47,7 +48,7 @@ def test_streets_are_levelled_by_the_road_at_the_foot(scene_frame, kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["open", "level", "facade", "trees"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_twenty_streets_of_each_kind(scene_frame, kind):
     errors = []
     for seed in range(20):

@@ -11,7 +11,8 @@ from common.geometry import transform_points
 from common.sim.lidar128 import scan
 from common.sim.roadside import LENGTH_S, roadside
 
-KINDS = ("open", "level", "facade", "trees")
+KINDS = ("open", "level", "facade", "trees", "slope", "bus", "crowd")
+SLOPES = {"level": (0.0, 0.0), "slope": (0.05, 0.09)}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -32,7 +33,8 @@ def test_mount_and_ground(kind):
         tilt = np.degrees(np.arccos(scene.T_map_pole[2, 2]))
         assert 11.5 <= tilt <= 15.5
         slope = np.hypot(scene.ground.x_slope, scene.ground.y_slope)
-        assert (slope == 0) if kind == "level" else (0.01 < slope < 0.03)
+        least, most = SLOPES.get(kind, (0.01, 0.03))
+        assert least <= slope <= most
         upright = scene.T_level_map @ np.linalg.inv(scene.T_level_sensor @ np.linalg.inv(scene.T_map_pole))
         np.testing.assert_allclose(upright, np.eye(4), atol=1e-9)
 
@@ -46,6 +48,15 @@ def test_about_as_many_objects_as_asked_of_every_kind():
     speeds = [np.linalg.norm(a.velocity_mps) for a in scenario.at(5.0).actors if a.kind == "car"]
     assert min(speeds) == 0.0
     assert max(speeds) > 5.0
+
+
+def test_a_bus_and_a_crowd_stand_beside_the_pole():
+    (bus,) = roadside(3, 0, "bus").at(0.0).actors
+    assert bus.kind == "bus"
+    assert np.hypot(*bus.position_m[:2]) < 6.0
+    people = roadside(3, 0, "crowd").at(0.0).actors
+    assert len(people) > 30
+    assert all(0.8 < np.hypot(*p.position_m[:2]) < 8.0 for p in people)
 
 
 def test_vehicles_do_not_stand_in_each_other():
