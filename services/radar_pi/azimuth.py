@@ -18,7 +18,7 @@ class PairAzimuth:
         self.available = config.left_rx in rx and config.right_rx in rx and config.left_rx != config.right_rx
         self._left = rx.index(config.left_rx) if self.available else 0
         self._right = rx.index(config.right_rx) if self.available else 0
-        self._offset_rad = config.phase_offset_rad
+        self._turn_back = np.exp(-1j * config.phase_offset_rad)
         self._sine_per_rad = wavelength_m / (2 * np.pi * config.spacing_m)
 
     def measure(self, spectrum: np.ndarray, bins: np.ndarray, doppler: np.ndarray) -> np.ndarray:
@@ -31,5 +31,5 @@ class PairAzimuth:
         around = (doppler[:, None] + np.array([-1, 0, 1])) % spectrum.shape[1]
         left = spectrum[self._left, around, bins[:, None]]
         right = spectrum[self._right, around, bins[:, None]]
-        phase = np.angle((right * left.conj()).sum(axis=1) * np.exp(-1j * self._offset_rad))
-        return np.arcsin(np.clip(phase * self._sine_per_rad, -1.0, 1.0))
+        phase = np.angle((right * left.conj()).sum(axis=1) * self._turn_back)
+        return np.arcsin(np.minimum(np.maximum(phase * self._sine_per_rad, -1.0), 1.0))

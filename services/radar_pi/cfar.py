@@ -55,6 +55,13 @@ class Zone:
         total: np.ndarray = beside + before_and_behind
         return total
 
+    def sums_at(self, power: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """The same sums of the cells (row[i], column[i]) only, (N,)."""
+        beside = np.vecdot(self.outer_rows[row] @ power, self.train_columns[column])
+        before_and_behind = np.vecdot(self.train_rows[row] @ power, self.guard_columns[column])
+        total: np.ndarray = beside + before_and_behind
+        return total
+
     def offsets(self) -> tuple[np.ndarray, np.ndarray]:
         """Row and column offsets of all training cells of an inner cell."""
         rows, columns = np.mgrid[-self.outer[0] : self.outer[0] + 1, -self.outer[1] : self.outer[1] + 1]
@@ -79,22 +86,29 @@ class CellAveraging:
         self._row_noise = RowNoise(columns, looks)
         self._excise = np.float32(10 ** (config.excise_db / 10)) if config.excise_db else None
 
-    def detect(self, power: np.ndarray) -> Hits:
-        """Cells of the (R, D) float32 power map that exceed scale times their noise."""
-        noise = self._noise(power)
-        row, column = np.nonzero(power > self._scale * noise)
-        return Hits(row, column, noise[row, column])
+    def detect(self, power: np.ndarray, row_noise: np.ndarray | None = None) -> Hits:
+        """Cells of the (R, D) float32 power map that exceed scale times their noise.
 
-    def _noise(self, power: np.ndarray) -> np.ndarray:
+        ``row_noise``: (R, 1), what ``RowNoise`` says of this map, when the caller has asked already.
+        """
         if self._excise is None:
-            return self._zone.sums(power) / self._count
-        limit = self._excise * self._row_noise.estimate(power)
+            noise = self._zone.sums(power) / self._count
+            row, column = np.nonzero(power > self._scale * noise)
+            return Hits(row, column, noise[row, column])
+        return self._excised(power, self._row_noise.estimate(power) if row_noise is None else row_noise, self._excise)
+
+    def _excised(self, power: np.ndarray, row_noise: np.ndarray, excise: np.float32) -> Hits:
+        limit = excise * row_noise
         left = power <= limit
-        if left.all():
-            return self._zone.sums(power) / self._count
-        count = self._zone.sums(left.astype(np.float32))
-        mean = self._zone.sums(np.where(left, power, np.float32(0.0))) / np.maximum(count, 1.0)
-        return np.where(count > MIN_TRAINING * self._count, mean, limit)
+        total = self._zone.sums(power * left)
+        # What is left is at most all cells, so no noise is below this: few cells need their cells counted.
+        least = np.minimum(total / self._count, limit)
+        row, column = np.divmod(np.flatnonzero(power > self._scale * least), power.shape[1])
+        count = self._zone.sums_at(left.astype(np.float32), row, column)
+        mean = total[row, column] / np.maximum(count, 1.0)
+        noise = np.where(count > MIN_TRAINING * self._count[row, column], mean, limit[row, 0])
+        over = power[row, column] > self._scale[row, column] * noise
+        return Hits(row[over], column[over], noise[over])
 
 
 class OrderedStatistic:
@@ -112,8 +126,8 @@ class OrderedStatistic:
             scale = 10 ** (config.threshold_db / 10) / ratio
         self._rank, self._ratio, self._scale = rank, ratio, scale.astype(np.float32)
 
-    def detect(self, power: np.ndarray) -> Hits:
-        """Cells of the (R, D) float32 power map that exceed scale times their order statistic."""
+    def detect(self, power: np.ndarray, row_noise: np.ndarray | None = None) -> Hits:
+        """Cells of the (R, D) float32 power map over scale times their order statistic; ``row_noise`` is not asked."""
         row, column = np.nonzero(power > self._scale * self._at_least(power))
         statistic = self._statistic(power, row, column)
         over = power[row, column] > self._scale[row, column] * statistic

@@ -13,6 +13,8 @@ import numpy as np
 from services.radar_pi.cfar import Hits
 from services.radar_pi.config import DetectionConfig
 
+_BESIDE = np.array([-1, 0, 1])
+
 
 @dataclass(frozen=True)
 class Peaks:
@@ -42,24 +44,25 @@ def find_peaks(power: np.ndarray, hits: Hits, first_row: int, limit: int) -> Pea
     Rows before ``first_row`` are not looked at, but for the interpolation of a peak beside them.
     """
     rows, columns = power.shape
-    up, down = np.maximum(hits.row - 1, first_row), np.minimum(hits.row + 1, rows - 1)
-    left, right = (hits.column - 1) % columns, (hits.column + 1) % columns
-    here = power[hits.row, hits.column]
-    around = power[np.array([[up], [hits.row], [down]]), np.array([left, hits.column, right])]
-    keep = np.flatnonzero(here >= around.max(axis=(0, 1)))
+    row = np.minimum(np.maximum(hits.row + _BESIDE[:, None], 0), rows - 1)
+    column = (hits.column + _BESIDE[:, None]) % columns
+    around = power[row[:, None], column]  # (3, 3, hits)
+    rivals = np.where((row < first_row)[:, None], 0.0, around).max(axis=(0, 1))
+    here = around[1, 1]
+    keep = np.flatnonzero(here >= rivals)
     keep = keep[np.argsort(-here[keep], kind="stable")][:limit]
-    row, column, left, right = hits.row[keep], hits.column[keep], left[keep], right[keep]
-    before, after = np.maximum(row - 1, 0), np.minimum(row + 1, rows - 1)
-    cells = np.array([power[before, column], power[row, left], here[keep], power[after, column], power[row, right]])
-    nearer, slower, top, farther, faster = 10 * np.log10(np.maximum(cells, 1e-30))
+    row, column = hits.row[keep], hits.column[keep]
+    around_db = 10 * np.log10(np.maximum(around.reshape(9, -1)[:, keep], 1e-30))
+    top_db = around_db[4]
+    part = _vertex(around_db[1:4:2], top_db, around_db[7:4:-2])  # 1, 4, 7 lie along range; 3, 4, 5 along Doppler
     inner = (row > 0) & (row < rows - 1)
     return Peaks(
         row,
         column,
-        row + np.where(inner, _vertex(nearer, top, farther), 0.0),
-        column + _vertex(slower, top, faster),
-        top,
-        top - 10 * np.log10(hits.noise[keep]),
+        row + inner * part[0],
+        column + part[1],
+        top_db,
+        top_db - 10 * np.log10(np.maximum(hits.noise[keep], 1e-30)),
     )
 
 
@@ -77,24 +80,27 @@ def group(
     a foot touches a low radar, the trunk is still a metre away. Moving peaks choose first: a moving body takes what
     stands near it, but what stands (clutter that the body shadows, for example) never takes a moving body.
     """
-    free = np.ones(len(range_m), bool)
     known_rad = np.where(np.isnan(azimuth_rad), 0.0, azimuth_rad)
     moving = np.abs(velocity_mps) >= config.moving_mps
+    free = np.argsort(~moving, kind="stable")  # what belongs to no body yet: the moving ones, then the others
     bodies: list[Detection] = []
-    for i in np.concatenate([np.flatnonzero(moving), np.flatnonzero(~moving)]):
-        if not free[i] or len(bodies) == config.max_detections:
-            continue
-        apart_mps = np.abs(velocity_mps - velocity_mps[i])
+    while free.size and len(bodies) < config.max_detections:
+        i, others = free[0], free[1:]
+        apart_mps = np.abs(velocity_mps[others] - velocity_mps[i])
+        below_db = peaks.power_db[i] - peaks.power_db[others]
         body = (
-            (np.abs(range_m - range_m[i]) <= config.body_range_m)
+            (np.abs(range_m[others] - range_m[i]) <= config.body_range_m)
             & (np.minimum(apart_mps, 2 * v_max_mps - apart_mps) <= config.body_velocity_mps)
-            & (np.abs(known_rad - known_rad[i]) <= config.body_azimuth_rad)
+            & (np.abs(known_rad[others] - known_rad[i]) <= config.body_azimuth_rad)
         )
-        part = body & free & (moving == moving[i]) & (peaks.power_db >= peaks.power_db[i] - config.part_db)
+        part = others[body & (moving[others] == moving[i]) & (below_db <= config.part_db)]
+        nearest_m = min(float(range_m[i]), float(range_m[part].min(initial=np.inf)))
         azimuth = None if np.isnan(azimuth_rad[i]) else float(azimuth_rad[i])
-        bodies.append(Detection(float(range_m[part].min()), float(velocity_mps[i]), azimuth, float(peaks.snr_db[i])))
-        beside = (np.abs(peaks.row - peaks.row[i]) <= 1) | (np.abs(peaks.column - peaks.column[i]) <= 1)
-        free &= ~(body | (beside & (peaks.power_db < peaks.power_db[i] - config.sidelobe_db)))
+        bodies.append(Detection(nearest_m, float(velocity_mps[i]), azimuth, float(peaks.snr_db[i])))
+        beside = (
+            np.minimum(np.abs(peaks.row[others] - peaks.row[i]), np.abs(peaks.column[others] - peaks.column[i])) <= 1
+        )
+        free = others[~(body | (beside & (below_db > config.sidelobe_db)))]
     return _join_long(bodies, config)
 
 
@@ -123,4 +129,4 @@ def _is_behind(body: Detection, nearer: Detection, config: DetectionConfig) -> b
 def _vertex(before_db: np.ndarray, top_db: np.ndarray, after_db: np.ndarray) -> np.ndarray:
     """Offset of the top of a parabola through three levels in dB, within half a bin either way."""
     curvature = np.minimum(before_db - 2 * top_db + after_db, -1e-9)
-    return np.clip(0.5 * (before_db - after_db) / curvature, -0.5, 0.5)
+    return np.minimum(np.maximum(0.5 * (before_db - after_db) / curvature, -0.5), 0.5)

@@ -75,12 +75,13 @@ class RadarPipeline:
         power = mean_power(spectrum)
         watch.lap("transform")
         # 4. cells above the noise around them, grouped to bodies with range, velocity and azimuth
-        detections = self._detect(power, spectrum)
+        row_noise = self.row_noise.estimate(power[self.axes.near_bin :])
+        detections = self._detect(power, row_noise, spectrum)
         watch.lap("detect")
         # 5. tracks over time
         tracks = self.tracker.update(stamp_ns, detections)
         # 6. can the radar see at all?
-        floor_db = noise_floor_db(self.row_noise.estimate(power[self.axes.near_bin :]))
+        floor_db = noise_floor_db(row_noise)
         health = self.health.judge(self.clutter.settled, saturated_fraction(frame), floor_db, self._leakage_db(), note)
         # 7. what each track means
         self._power, self._detections = power, detections
@@ -127,10 +128,10 @@ class RadarPipeline:
             self.tracker.tracks.clear()
         self._stamp_ns, self._epoch = stamp_ns, epoch
 
-    def _detect(self, power: np.ndarray, spectrum: np.ndarray) -> list[Detection]:
+    def _detect(self, power: np.ndarray, row_noise: np.ndarray, spectrum: np.ndarray) -> list[Detection]:
         """CFAR, peaks, physical values, bodies."""
         axes, config = self.axes, self.config.detection
-        hits = self.cfar.detect(power[axes.near_bin :]).shifted(axes.near_bin)
+        hits = self.cfar.detect(power[axes.near_bin :], row_noise).shifted(axes.near_bin)
         peaks = find_peaks(power, hits, axes.near_bin, 4 * config.max_detections)
         velocity_mps = (peaks.column_exact - len(axes.velocity_mps) // 2) * axes.velocity_bin_mps
         range_m = axes.to_range_m(peaks.row_exact, velocity_mps)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from filterpy.kalman import predict, update
+from scipy.linalg.lapack import dposv
 from scipy.optimize import linear_sum_assignment
 
 from services.radar_pi.config import DetectionConfig, TrackingConfig
@@ -17,6 +18,7 @@ from services.radar_pi.detection import Detection
 
 RANGE, VELOCITY, AZIMUTH = range(3)
 _UNKNOWN_AZIMUTH_VARIANCE = 1.0
+_OBSERVE = np.eye(3)  # range, velocity and azimuth are measured as they are
 _FAR = 1e6
 
 
@@ -76,8 +78,7 @@ class Tracker:
         """Predict, associate, correct, create, delete. Returns the confirmed tracks."""
         dt_s = 0.0 if self._stamp_ns is None else max(0.0, (stamp_ns - self._stamp_ns) * 1e-9)
         self._stamp_ns = stamp_ns
-        for track in self.tracks:
-            self._predict(track, dt_s)
+        self._predict(dt_s)
         free = list(range(len(detections)))
         for group in (self.confirmed, [track for track in self.tracks if not track.confirmed]):
             taken = self._associate(group, detections, free)
@@ -91,13 +92,16 @@ class Tracker:
         self._create([detections[j] for j in free], stamp_ns)
         return self.confirmed
 
-    def _predict(self, track: Track, dt_s: float) -> None:
+    def _predict(self, dt_s: float) -> None:
         c = self._config
         transition = np.array([[1.0, dt_s, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-        kick = c.sigma_acceleration_mps2 * np.array([0.5 * dt_s**2, dt_s, 0.0])
-        process = np.outer(kick, kick)
-        process[AZIMUTH, AZIMUTH] = (c.sigma_azimuth_rate_radps * dt_s) ** 2
-        track.state, track.covariance = predict(track.state, track.covariance, F=transition, Q=process)
+        kick_m, kick_mps = c.sigma_acceleration_mps2 * 0.5 * dt_s**2, c.sigma_acceleration_mps2 * dt_s
+        turn_rad = c.sigma_azimuth_rate_radps * dt_s
+        process = np.array(
+            [[kick_m**2, kick_m * kick_mps, 0.0], [kick_m * kick_mps, kick_mps**2, 0.0], [0.0, 0.0, turn_rad**2]]
+        )
+        for track in self.tracks:
+            track.state, track.covariance = predict(track.state, track.covariance, F=transition, Q=process)
 
     def _associate(self, tracks: list[Track], detections: list[Detection], free: list[int]) -> dict[int, int]:
         """Track index -> detection index, at least total distance, within the gate."""
@@ -113,7 +117,8 @@ class Tracker:
         measured, noise = self._measurement(track, detection)
         n = len(measured)
         residual = measured - track.state[:n]
-        return float(residual @ np.linalg.solve(track.covariance[:n, :n] + noise, residual))
+        _, weighed, _ = dposv(track.covariance[:n, :n] + noise, residual)  # positive definite: by Cholesky
+        return float(residual @ weighed)
 
     def _measurement(self, track: Track, detection: Detection) -> tuple[np.ndarray, np.ndarray]:
         """The measurement with its velocity unfolded to the nearest alias of the track's, and its covariance."""
@@ -127,7 +132,7 @@ class Tracker:
 
     def _correct(self, track: Track, detection: Detection, stamp_ns: int) -> None:
         measured, noise = self._measurement(track, detection)
-        observe = np.eye(3)[: len(measured)]
+        observe = _OBSERVE[: len(measured)]
         track.state, track.covariance = update(track.state, track.covariance, measured, noise, observe)
         track.snr_db = detection.snr_db
         track.has_azimuth |= detection.azimuth_rad is not None
