@@ -24,6 +24,7 @@ DISTRIBUTION_OF = {
     "sklearn": "scikit-learn",
     "foxglove": "foxglove-sdk",
     "prometheus_client": "prometheus-client",
+    "rerun": "rerun-sdk",
 }
 
 # Which extras a file may count on, most specific folder or file first; everything else has the base only.
@@ -40,6 +41,7 @@ EXTRAS_OF = {
     "services/infra_lidar": {"infra-lidar"},
     "services/blackbox": {"record"},
     "common/recording/foxglove.py": {"record", "foxglove"},
+    "common/recording/rerun_scene.py": {"record", "rerun"},
     "common/recording": {"record"},
     "common/security/authority.py": {"keys"},
     "common/plots": {"plot"},

@@ -17,6 +17,7 @@ from common.cli.metrics import metrics
 from common.cli.plot import plot
 from common.cli.record import record
 from common.cli.replay import replay
+from common.cli.rerun import rerun
 from common.cli.router import router
 from common.cli.swap import swap
 from common.cli.top import top
@@ -47,6 +48,7 @@ for command in (
     export,
     metrics,
     foxglove,
+    rerun,
     drill,
 ):
     app.command()(command)

@@ -37,7 +37,7 @@ def verify_services(services: list[str], files: list[Path], config: Path | None,
     """Run services again over the raw bytes; exit code 1 with the first difference."""
     from common.config import ConfigError
     from common.recording.reader import RecordingError
-    from common.recording.rerun import SERVICES, verify_service
+    from common.recording.reprocess import SERVICES, verify_service
 
     unknown = set(services) - set(SERVICES)
     if unknown:

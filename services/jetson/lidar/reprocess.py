@@ -11,7 +11,7 @@ from services.jetson.lidar.pipeline import LidarPipeline
 from services.jetson.lidar.source import open_source
 
 
-def rerun(config: LidarConfig, report: Report) -> Iterator[LidarZones]:
+def reprocess(config: LidarConfig, report: Report) -> Iterator[LidarZones]:
     """Every message that the service would publish on ``lidar/zones``, without a bus."""
     pipeline = LidarPipeline(config)
     for stamp_ns, scan in open_source(config, report):

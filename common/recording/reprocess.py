@@ -23,8 +23,8 @@ OF_THE_LOAD = "processing takes"  # a reason that does so, too: state and reason
 
 
 @dataclass(frozen=True)
-class Rerunnable:
-    """Where a service's ``rerun`` and its configuration are, what goes in and what comes out."""
+class Reprocessed:
+    """Where a service's ``reprocess`` and its configuration are, what goes in and what comes out."""
 
     package: str
     config: str
@@ -33,10 +33,10 @@ class Rerunnable:
 
 
 SERVICES = {
-    "lidar": Rerunnable("services.jetson.lidar", "LidarConfig", topics.LIDAR_RAW, topics.LIDAR_ZONES),
-    "radar": Rerunnable("services.radar_pi", "RadarConfig", topics.RADAR_RAW, topics.RADAR_TRACKS),
-    "camera": Rerunnable("services.jetson.camera", "CameraConfig", topics.CAMERA_RAW, topics.CAMERA_DETECTIONS),
-    "infra_lidar": Rerunnable("services.infra_lidar", "InfraLidarConfig", topics.INFRA_RAW, topics.INFRA_TRACKS),
+    "lidar": Reprocessed("services.jetson.lidar", "LidarConfig", topics.LIDAR_RAW, topics.LIDAR_ZONES),
+    "radar": Reprocessed("services.radar_pi", "RadarConfig", topics.RADAR_RAW, topics.RADAR_TRACKS),
+    "camera": Reprocessed("services.jetson.camera", "CameraConfig", topics.CAMERA_RAW, topics.CAMERA_DETECTIONS),
+    "infra_lidar": Reprocessed("services.infra_lidar", "InfraLidarConfig", topics.INFRA_RAW, topics.INFRA_TRACKS),
 }
 
 
@@ -60,7 +60,7 @@ def verify_service(service: str, path: Path, config: Path | None = None) -> Outc
     _whole(SourceUrl("mcap", str(path)), one.raw)
     config_type: Any = getattr(import_module(f"{one.package}.config"), one.config)
     effective = load(config_type, config, [f'source="mcap:{path}?rate=0"'])
-    again = import_module(f"{one.package}.rerun").rerun(effective, Report("rerun"))
+    again = import_module(f"{one.package}.reprocess").reprocess(effective, Report("reprocess"))
     return compare(_recorded(path, one.result), again)
 
 

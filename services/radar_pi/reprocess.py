@@ -11,7 +11,7 @@ from services.radar_pi.pipeline import RadarPipeline
 from services.radar_pi.source import open_source, with_waveform_of_source
 
 
-def rerun(config: RadarConfig, report: Report) -> Iterator[RadarTracks]:
+def reprocess(config: RadarConfig, report: Report) -> Iterator[RadarTracks]:
     """Every message that the service would publish on ``radar/tracks``, without a bus."""
     config = with_waveform_of_source(config)
     pipeline = RadarPipeline(config)

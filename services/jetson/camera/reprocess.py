@@ -12,7 +12,7 @@ from services.jetson.camera.pipeline import CameraPipeline
 from services.jetson.camera.source import fitted, open_source
 
 
-def rerun(config: CameraConfig, report: Report) -> Iterator[CameraDetections]:
+def reprocess(config: CameraConfig, report: Report) -> Iterator[CameraDetections]:
     """Every message that the service would publish on ``camera/detections``, without a bus."""
     config = fitted(config)
     pipeline = CameraPipeline(config)

@@ -14,7 +14,7 @@ from services.infra_lidar.source import open_source, surveyed_pose
 from services.infra_lidar.store import Store
 
 
-def rerun(config: InfraLidarConfig, report: Report) -> Iterator[ObjectTracks]:
+def reprocess(config: InfraLidarConfig, report: Report) -> Iterator[ObjectTracks]:
     """Every message that the service would publish on ``infra_lidar/tracks``, without a bus."""
     config = msgspec.structs.replace(config, T_map_sensor=surveyed_pose(config))
     pipeline = InfraLidarPipeline(config, *Store(config.calibration.store).load())
