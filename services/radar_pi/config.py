@@ -71,7 +71,7 @@ class ProcessingConfig(Section, frozen=True, kw_only=True):
     mti: bool = True  # subtract the static background
     mti_memory: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.92  # weight of the old background; 0 = frame difference
     settling_frames: Annotated[int, Meta(ge=0, le=1000)] = 15
-    range_offset_m: float = 0.0  # electrical zero of the range axis, subtracted
+    range_offset_m: float = 0.0  # way through chip, antenna feed and cover, subtracted: shown minus taped range
     range_min_m: NotNegative = 0.2  # nearer is transmitter leakage
     range_max_m: Positive = 6.5  # farther is dropped: see "What it can and cannot see" in the README
 

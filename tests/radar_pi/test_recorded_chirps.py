@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from common.messages import RadarTracks
-from services.radar_pi.axes import C_MPS
+from services.radar_pi.axes import C_MPS, derive_axes
 from services.radar_pi.config import RadarConfig
 from services.radar_pi.detection import Detection
 from services.radar_pi.pipeline import RadarPipeline
@@ -43,20 +43,56 @@ def peaks(profile: np.ndarray) -> list[int]:
     return sorted(tops, key=lambda k: -profile[k])
 
 
-def test_two_reflectors_are_where_they_stood_and_gone_after_settling() -> None:
-    """0.30 and 0.46 m are the recordist's figures, on an axis made of the *emitted* bandwidth: bins 11 and 17."""
+PATH_M = 0.034  # what the way through chip, feed and cover adds to every range of that unit: one value for both
+
+
+def standing_profile(pipeline: RadarPipeline) -> np.ndarray:
+    """The range profile before subtraction: mean magnitude over the receivers, (bin,)."""
+    assert pipeline.clutter.background is not None
+    profile: np.ndarray = np.abs(pipeline.clutter.background).mean(axis=0)
+    return profile
+
+
+def sub_bin(profile: np.ndarray, k: int) -> float:
+    """Place of the top of a parabola through a peak and its neighbours, in dB."""
+    before, top, after = 20 * np.log10(profile[k - 1 : k + 2])
+    return k + 0.5 * float((before - after) / (before - 2 * top + after))
+
+
+def test_two_reflectors_are_in_bins_11_and_17() -> None:
+    """The recordist's 0.30 and 0.46 m are these bins on an axis made of the *emitted* bandwidth."""
     recorded = recording("two_reflectors")
-    pipeline, messages, _, maps = run(recorded)
+    pipeline, *_ = run(recorded)
     waveform = recorded.waveform
     nominal_bin_m = C_MPS / (2 * (waveform.end_frequency_hz - waveform.start_frequency_hz))
-    background = pipeline.clutter.background
-    assert background is not None
-    before = np.abs(background).mean(axis=0)
-    nearest = sorted(peaks(before)[:2])
-    assert [k * nominal_bin_m for k in nearest] == pytest.approx([0.30, 0.46], abs=nominal_bin_m)
-    standing_db = 20 * np.log10(before[nearest])
+    nearest = sorted(peaks(standing_profile(pipeline))[:2])
+    assert nearest == [11, 17]
+    assert [k * nominal_bin_m for k in nearest] == pytest.approx([0.30, 0.46], abs=0.005)
+
+
+def test_two_reflectors_are_within_a_bin_on_our_axis_with_one_path_offset() -> None:
+    """On the sampled bandwidth's axis both are too far by nearly the same: one offset brings both within half a bin."""
+    recorded = recording("two_reflectors")
+    pipeline, *_ = run(recorded)
+    profile = standing_profile(pipeline)
+    exact = np.array([sub_bin(profile, k) for k in sorted(peaks(profile)[:2])])
+    bin_m = pipeline.axes.range_bin_m
+    assert bin_m == pytest.approx(0.0299, abs=1e-4)  # of this configuration
+    standing_mps = np.zeros(2)
+    assert pipeline.axes.to_range_m(exact, standing_mps) == pytest.approx([0.327, 0.501], abs=0.003)
+    processing = msgspec.structs.replace(pipeline.config.processing, range_offset_m=PATH_M)
+    calibrated = derive_axes(recorded.waveform, processing)
+    assert calibrated.to_range_m(exact, standing_mps) == pytest.approx([0.30, 0.46], abs=0.5 * bin_m)
+
+
+def test_two_reflectors_are_gone_after_settling() -> None:
+    recorded = recording("two_reflectors")
+    pipeline, messages, _, maps = run(recorded)
+    profile = standing_profile(pipeline)
+    nearest = sorted(peaks(profile)[:2])
+    standing_db = 20 * np.log10(profile[nearest])
     left_db = np.array([map_[nearest].max(axis=1) for map_ in maps[15:]])
-    gain_db = 10 * np.log10(waveform.chirps / 1.5)  # what the Doppler FFT adds to a standing echo
+    gain_db = 10 * np.log10(recorded.waveform.chirps / 1.5)  # what the Doppler FFT adds to a standing echo
     assert np.all(np.median(left_db, axis=0) < standing_db + gain_db - 25.0)
     assert all(message.tracks == [] for message in messages[15:])
 
