@@ -106,10 +106,8 @@ class SensorWatch:
         return self._input(now_s, state, fault), self._health(now_s, state, fault)
 
     def age_s(self, now_s: float) -> float | None:
-        """Since the measurement: time since arrival on our monotonic clock plus its age when it arrived."""
-        if self.frame is None:
-            return None
-        return max(0.0, now_s - self.frame.received.arrived_s) + max(0.0, self.frame.stamp_age_s)
+        """Of the newest frame; None when there is none."""
+        return None if self.frame is None else age_s_of(self.frame, now_s)
 
     def _link_fault(self, now_s: float, around: Surroundings) -> Fault | None:
         """The links before the data, first broken one first: our own, the host, the process, the device."""
@@ -145,7 +143,7 @@ class SensorWatch:
             told = f" ({status.message.reason})" if status and status.message.reason else ""
             text = around.undecodable or f"{self.service} on {self.host} is there, no data yet{told}"
             return Fault("disconnected", "waiting", text)
-        age_s = self.age_s(now_s) or 0.0
+        age_s = age_s_of(self.frame, now_s)
         if age_s > self.limit_s:
             return Fault("disconnected", "stale", self._stale_reason(now_s, age_s, around))
         if self.frame.stamp_age_s < -self._config.future_s:
@@ -206,15 +204,27 @@ class SensorWatch:
 
     def _health(self, now_s: float, state: SensorState, fault: Fault | None) -> SensorHealth:
         age_s = self.age_s(now_s)
-        recent = [at_s for at_s in self._arrivals_s if now_s - at_s <= self._config.rate_window_s]
+        recent_s = [at_s for at_s in self._arrivals_s if now_s - at_s <= self._config.rate_window_s]
         return SensorHealth(
             state=state,
             reason=fault.reason if fault else "",
             since_ns=self._since_ns,
             age_ms=None if age_s is None else round(age_s * 1e3, 1),
-            rate_hz=(len(recent) - 1) / max(recent[-1] - recent[0], 1e-3) if len(recent) > 1 else 0.0,
+            rate_hz=rate_hz(recent_s),
             cause=fault.cause if fault else "",
         )
+
+
+def age_s_of(frame: Frame, now_s: float) -> float:
+    """Since the measurement: time since arrival on our monotonic clock plus its age when it arrived."""
+    return max(0.0, now_s - frame.received.arrived_s) + max(0.0, frame.stamp_age_s)
+
+
+def rate_hz(arrivals_s: list[float]) -> float:
+    """Messages a second between the first and the last arrival; a burst counts as a millisecond."""
+    if len(arrivals_s) < 2:
+        return 0.0
+    return (len(arrivals_s) - 1) / max(arrivals_s[-1] - arrivals_s[0], 1e-3)
 
 
 def stages(frame: Frame, now_s: float) -> dict[str, float]:
