@@ -13,6 +13,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, NoReturn, TypeVar
 
@@ -73,6 +74,24 @@ def load_config(config_type: type[C], path: Path | None, overrides: list[str] | 
     except ConfigError as error:
         sys.stderr.write(f"spotter: {error}\n")
         raise SystemExit(2) from None
+
+
+def flag_as_command(arguments: list[str], command: str) -> list[str]:
+    """``--plot FILE`` among the options becomes the subcommand ``plot FILE`` behind them (``command`` is "plot").
+
+    Options that every service has stay in front of the subcommand; whatever else is given belongs to it.
+    """
+    if f"--{command}" not in arguments:
+        return arguments
+    shared: list[str] = []
+    own: list[str] = []
+    values = iter(arguments)
+    for word in values:
+        if word.split("=")[0] in ("--config", "--set", "--source"):
+            shared += [word, *islice(values, "=" not in word)]
+        elif word != f"--{command}":
+            own.append(word)
+    return [*shared, command, *own]
 
 
 def run_until_stopped(run: Callable[[], object]) -> NoReturn:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+import sys
 
 import msgspec
 
-from common.launch import service_app
+from common.launch import flag_as_command, service_app
 from common.raw import RawTap, changes
 from common.runtime import Service
 from common.topics import INFRA_CLUSTERS, INFRA_POINTS, INFRA_RAW, INFRA_TRACKS
@@ -57,7 +58,7 @@ add_commands(app)
 
 def main() -> None:
     """Console entry point."""
-    app()
+    app(args=flag_as_command(sys.argv[1:], "plot"))
 
 
 if __name__ == "__main__":

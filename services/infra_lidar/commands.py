@@ -89,19 +89,19 @@ def evaluate(
 
 
 def plot(
-    source: Annotated[str, typer.Argument(metavar="SOURCE", help="Source URL, e.g. file:FOLDER or sim:crossing.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of PNGs, or a file ending in .mp4.")],
+    context: typer.Context,
+    output: Annotated[
+        Path, typer.Argument(metavar="OUTPUT", help="A .png: the last frame; .mp4 or .gif: all; a folder: a PNG each.")
+    ],
     frames: Annotated[int, typer.Option("--frames", min=1, help="Stop after this many.")] = 100,
-    config: Annotated[Path | None, typer.Option("--config")] = None,
-    reach: Annotated[float, typer.Option("--reach", help="Metres shown to each side.")] = 60.0,
+    reach: Annotated[float, typer.Option("--reach", min=1.0, help="Metres shown to each side.")] = 60.0,
 ) -> None:
-    """Top view of a recording: ground, clusters by class, tracks with their ids and ways."""
+    """Top view of the source: ground, clusters by class, tracks and their ways. `--plot OUTPUT` is the same."""
     setup_logging("infra_lidar")
     from common.launch import load_config
     from services.infra_lidar.plot import plot_source
 
-    settings = load_config(InfraLidarConfig, config, None, source)
-    count = plot_source(settings, output, frames, reach)
+    count = plot_source(load_config(InfraLidarConfig, *context.obj), output, frames, reach)
     _say(f"{count} frames drawn to {output}")
 
 

@@ -1,4 +1,4 @@
-"""Top view of a recording: ground, clusters by class, boxes, ids and ways of the tracks. PNGs, or MP4 with OpenCV."""
+"""Top view of a recording: ground, clusters by class, boxes, ids and ways of the tracks. PNG, GIF, MP4 with OpenCV."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from matplotlib.animation import PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.image import imsave
 
 from common.config import ConfigError
 from common.geometry import transform_points
@@ -35,24 +37,34 @@ _TRAIL = 30
 
 
 def plot_source(config: InfraLidarConfig, output: Path, frames: int, reach_m: float) -> int:
-    """Run the pipeline over a source and draw every frame; returns how many.
+    """Run the pipeline over a source and draw it from above; returns how many frames it had.
+
+    output: ``.png`` (the last frame), ``.mp4`` or ``.gif`` (all of them), anything else is a folder of PNGs.
 
     Raises:
         ConfigError: an MP4 is asked for and OpenCV is not installed.
     """
     pipeline, ways = InfraLidarPipeline(config), Ways()
-    pictures = (
-        draw(pipeline.process(stamp_ns, frame.points, frame.quality), ways, reach_m)
-        for stamp_ns, frame in islice(open_source(config, Report("plot")), frames)
-    )
-    if output.suffix == ".mp4":
-        return _write_video(pictures, output)
-    output.mkdir(parents=True, exist_ok=True)
+    source = islice(open_source(config, Report("plot")), frames)
+    results = (pipeline.process(stamp_ns, frame.points, frame.quality) for stamp_ns, frame in source)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    if output.suffix == ".png":
+        return _draw_last(results, ways, reach_m, output)
+    pictures = (draw(result, ways.follow(_shown(result)), reach_m) for result in results)
+    return {".mp4": _write_video, ".gif": _write_gif}.get(output.suffix, _write_folder)(pictures, output)
+
+
+def _draw_last(results: Iterator[FrameResult], ways: Ways, reach_m: float, path: Path) -> int:
     count = 0
-    for picture in pictures:
-        _save_png(picture, output / f"{count:05d}.png")
-        count += 1
+    for result in results:
+        trails, count = ways.follow(_shown(result)), count + 1
+    if count:
+        imsave(path, draw(result, trails, reach_m))
     return count
+
+
+def _shown(result: FrameResult) -> list[ObjectTrack]:
+    return [track for track in result.tracks.tracks if track.state != "tentative"]
 
 
 class Ways:
@@ -70,13 +82,15 @@ class Ways:
         return [np.array(self._places[track.track_id]) for track in tracks]
 
 
-def draw(result: FrameResult, ways: Ways, reach_m: float) -> np.ndarray:
-    """(H, W, 3) uint8 RGB picture of one frame in the map frame, x up, y to the left, the sensor in the middle."""
+def draw(result: FrameResult, trails: list[np.ndarray], reach_m: float) -> np.ndarray:
+    """(H, W, 3) uint8 RGB picture of one frame in the map frame, x up, y to the left, the sensor in the middle.
+
+    trails: (n, 2) metres per track that is not tentative, where it has been.
+    """
     figure = Figure(figsize=(_SIZE_PX / 100, _SIZE_PX / 100), dpi=100, facecolor="#16181c", layout="constrained")
     axes = figure.add_subplot(facecolor="#16181c")
     _draw_points(axes, result)
-    tracks = [track for track in result.tracks.tracks if track.state != "tentative"]
-    trails = ways.follow(tracks)
+    tracks = _shown(result)
     axes.add_collection(LineCollection(trails, colors=[COLOURS[t.label] for t in tracks], linewidths=1.0, alpha=0.7))
     for track in tracks:
         _draw_track(axes, track)
@@ -128,18 +142,33 @@ def _draw_legend(axes: Axes) -> None:
     axes.legend(loc="upper right", fontsize=7, facecolor="#22252b", edgecolor="none", labelcolor="#d5d8dc")
 
 
-def _save_png(picture: np.ndarray, path: Path) -> None:
-    from matplotlib.image import imsave
+def _write_folder(pictures: Iterator[np.ndarray], folder: Path) -> int:
+    folder.mkdir(exist_ok=True)
+    count = 0
+    for picture in pictures:
+        imsave(folder / f"{count:05d}.png", picture)
+        count += 1
+    return count
 
-    imsave(path, picture)
+
+def _write_gif(pictures: Iterator[np.ndarray], path: Path) -> int:
+    figure = Figure(figsize=(_SIZE_PX / 100, _SIZE_PX / 100), dpi=100)
+    FigureCanvasAgg(figure)
+    writer, count = PillowWriter(fps=10), 0
+    with writer.saving(figure, str(path), dpi=100):
+        for picture in pictures:
+            figure.clear()
+            figure.figimage(picture)
+            writer.grab_frame()
+            count += 1
+    return count
 
 
 def _write_video(pictures: Iterator[np.ndarray], path: Path) -> int:
     try:
         import cv2
     except ImportError:
-        raise ConfigError(f"{path}: a video needs OpenCV, which is not installed; give a folder for PNGs") from None
-    path.parent.mkdir(parents=True, exist_ok=True)
+        raise ConfigError(f"{path}: a video needs OpenCV, which is not installed; end the name in .gif") from None
     video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10.0, (_SIZE_PX, _SIZE_PX))
     count = 0
     for picture in pictures:

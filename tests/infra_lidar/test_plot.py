@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ pytest.importorskip("matplotlib", reason="needs the plot extra")
 from common.config import ConfigError
 from common.messages import ObjectTrack
 from services.infra_lidar import plot
+from services.infra_lidar.__main__ import main
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.warm_up import made_up_frame
 
@@ -47,6 +49,33 @@ def test_a_folder_of_pictures(tmp_path: Path) -> None:
     assert plot.plot_source(config, tmp_path / "out", frames=3, reach_m=20.0) == 3
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["00000.png", "00001.png", "00002.png"]
     assert (tmp_path / "out" / "00002.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_one_picture_is_that_of_the_last_frame(tmp_path: Path) -> None:
+    config = recorded(tmp_path / "recording", 3)
+    assert plot.plot_source(config, tmp_path / "new" / "out.png", frames=10, reach_m=20.0) == 3
+    plot.plot_source(config, tmp_path / "all", frames=10, reach_m=20.0)
+    assert (tmp_path / "new" / "out.png").read_bytes() == (tmp_path / "all" / "00002.png").read_bytes()
+
+
+def test_a_gif_has_every_frame(tmp_path: Path) -> None:
+    image = pytest.importorskip("PIL.Image", reason="comes with matplotlib")
+    config = recorded(tmp_path / "recording", 3)
+    assert plot.plot_source(config, tmp_path / "out.gif", frames=2, reach_m=20.0) == 2
+    with image.open(tmp_path / "out.gif") as moving:
+        assert moving.size == (1000, 1000)
+        assert moving.get_format_mimetype() == "image/gif"
+
+
+def test_the_flag_of_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = recorded(tmp_path / "recording", 2)
+    out = tmp_path / "flag.png"
+    words = ["spotter-infra-lidar", "--plot", str(out), "--source", config.source, "--frames", "1", "--reach=20"]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as ending:
+        main()
+    assert ending.value.code == 0
+    assert out.read_bytes()[:4] == b"\x89PNG"
 
 
 def test_a_video_has_every_frame(tmp_path: Path) -> None:
