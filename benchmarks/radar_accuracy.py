@@ -19,7 +19,7 @@ from services.radar_pi.axes import C_MPS, derive_axes
 from services.radar_pi.cfar import build_cfar
 from services.radar_pi.config import CfarConfig, RadarConfig, WaveformConfig
 from services.radar_pi.pipeline import RadarPipeline
-from services.radar_pi.source import simulator_waveform
+from services.radar_pi.signals import simulator_waveform
 from services.radar_pi.spectrum import RangeDoppler, mean_power, unit_window
 
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from common.sim import bgt60
+from common.sim.world import scenario_time
+from services.radar_pi.axes import derive_axes
 from services.radar_pi.config import WaveformConfig
 from services.radar_pi.emulated_fifo import SignalSource
 
@@ -33,26 +36,25 @@ def world(scenario: str) -> SignalSource:
     Raises:
         ValueError: no such scenario.
     """
-    from common.sim import bgt60
-    from common.sim.world import scenario_time
-
     scenario_time(scenario, 0)
 
     def signal(t_s: float, waveform: WaveformConfig) -> np.ndarray:
-        sampling_s = waveform.samples / waveform.sample_rate_hz
-        ramp_s = sampling_s + waveform.sample_delay_s
-        slope = (waveform.end_frequency_hz - waveform.start_frequency_hz) / ramp_s
-        sampled = bgt60.Waveform(
-            start_frequency_hz=waveform.start_frequency_hz + slope * waveform.sample_delay_s,
-            sampled_bandwidth_hz=slope * sampling_s,
-            samples=waveform.samples,
-            chirps=waveform.chirps,
-            sample_rate_hz=waveform.sample_rate_hz,
-            chirp_period_s=waveform.chirp_period_s,
-            rx=waveform.rx,
-            hp_cutoff_hz=waveform.hp_cutoff_hz,
-            lp_cutoff_hz=waveform.lp_cutoff_hz,
-        )
-        return bgt60.frame(scenario, scenario_time(scenario, round(t_s * 1e9)), sampled)
+        return bgt60.frame(scenario, scenario_time(scenario, round(t_s * 1e9)), simulator_waveform(waveform))
 
     return signal
+
+
+def simulator_waveform(waveform: WaveformConfig) -> bgt60.Waveform:
+    """The part of the waveform that is sampled, as the simulator wants it."""
+    axes = derive_axes(waveform)
+    return bgt60.Waveform(
+        start_frequency_hz=axes.first_sample_hz,
+        sampled_bandwidth_hz=axes.sampled_bandwidth_hz,
+        samples=waveform.samples,
+        chirps=waveform.chirps,
+        sample_rate_hz=waveform.sample_rate_hz,
+        chirp_period_s=waveform.chirp_period_s,
+        rx=waveform.rx,
+        hp_cutoff_hz=waveform.hp_cutoff_hz,
+        lp_cutoff_hz=waveform.lp_cutoff_hz,
+    )

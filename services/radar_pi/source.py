@@ -23,12 +23,12 @@ from common.sim.scenario_clock import ScenarioClock
 from common.source_url import SourceUrl, parse_source
 from common.status import Report
 from common.topics import EGO_MOTION, RADAR_RAW
-from services.radar_pi.axes import derive_axes
 from services.radar_pi.config import RadarConfig, WaveformConfig
 from services.radar_pi.driver import RadarFrame
 from services.radar_pi.exports import plan
 from services.radar_pi.parser import RecordingError
 from services.radar_pi.recording import Recording, open_recording
+from services.radar_pi.signals import simulator_waveform
 from services.radar_pi.spi_source import open_spi
 
 SCHEMES: dict[str, tuple[str, ...]] = {"sim": ("t0",), "file": ("rate", "loop"), "spi": (), "mcap": MCAP_PARAMETERS}
@@ -133,19 +133,3 @@ def _simulate(clock: ScenarioClock, waveform: WaveformConfig, report: Report) ->
         behind = int((monotonic_s() - start_s) / waveform.frame_period_s) - number
         report.dropped(max(0, behind - 1))
         number += max(1, behind)
-
-
-def simulator_waveform(waveform: WaveformConfig) -> bgt60.Waveform:
-    """The part of the waveform that is sampled, as the simulator wants it."""
-    axes = derive_axes(waveform)
-    return bgt60.Waveform(
-        start_frequency_hz=axes.first_sample_hz,
-        sampled_bandwidth_hz=axes.sampled_bandwidth_hz,
-        samples=waveform.samples,
-        chirps=waveform.chirps,
-        sample_rate_hz=waveform.sample_rate_hz,
-        chirp_period_s=waveform.chirp_period_s,
-        rx=waveform.rx,
-        hp_cutoff_hz=waveform.hp_cutoff_hz,
-        lp_cutoff_hz=waveform.lp_cutoff_hz,
-    )

@@ -19,7 +19,7 @@ from common.sim.world import world_at
 from services.radar_pi import pipeline as pipeline_module
 from services.radar_pi.config import RadarConfig
 from services.radar_pi.pipeline import RadarPipeline
-from services.radar_pi.source import simulator_waveform
+from services.radar_pi.signals import simulator_waveform
 
 CONFIG = RadarConfig()
 SHAPE = simulator_waveform(CONFIG.waveform)

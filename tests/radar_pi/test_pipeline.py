@@ -15,7 +15,7 @@ from common.sim.bgt60 import LEAKAGE, Target, simulate
 from common.topics import RADAR_DETECTIONS, RADAR_TRACKS
 from services.radar_pi.config import CfarConfig, ProcessingConfig, RadarConfig
 from services.radar_pi.pipeline import RadarPipeline
-from services.radar_pi.source import simulator_waveform
+from services.radar_pi.signals import simulator_waveform
 
 CONFIG = RadarConfig()
 SHAPE = simulator_waveform(CONFIG.waveform)

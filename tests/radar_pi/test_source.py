@@ -15,7 +15,7 @@ from common.messages import EgoMotion
 from common.pubsub import Received
 from common.sim import scenario_clock
 from common.status import Report
-from services.radar_pi import source
+from services.radar_pi import signals, source
 from services.radar_pi.config import RadarConfig, WaveformConfig
 from services.radar_pi.recording import Recorder
 from services.radar_pi.source import EgoSpeed, open_source, with_waveform_of_source
@@ -161,6 +161,6 @@ def test_ego_speed_counts_while_it_is_fresh(clock: ManualTime) -> None:
 
 
 def test_waveforms_for_simulator_and_axes_agree() -> None:
-    sampled = source.simulator_waveform(msgspec.structs.replace(WaveformConfig(), rx_mask=5))
+    sampled = signals.simulator_waveform(msgspec.structs.replace(WaveformConfig(), rx_mask=5))
     assert sampled.rx == (1, 3)
     assert sampled.slope_hz_per_s == pytest.approx(12.4156e12, rel=1e-4)

@@ -13,7 +13,7 @@ from common.sim.bgt60 import LEAKAGE, Target, simulate
 from services.radar_pi.__main__ import app
 from services.radar_pi.config import WaveformConfig
 from services.radar_pi.recording import Recorder, open_recording
-from services.radar_pi.source import simulator_waveform
+from services.radar_pi.signals import simulator_waveform
 
 
 @pytest.fixture

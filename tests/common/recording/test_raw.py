@@ -38,7 +38,7 @@ from services.jetson.lidar.decoder import ScanDecoder
 from services.jetson.lidar.pipeline import LidarPipeline
 from services.radar_pi.config import RadarConfig
 from services.radar_pi.pipeline import RadarPipeline
-from services.radar_pi.source import simulator_waveform
+from services.radar_pi.signals import simulator_waveform
 
 T0 = 1_795_000_000_000_000_000
 Made = Iterator[Message]
