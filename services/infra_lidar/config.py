@@ -1,7 +1,7 @@
 """Every setting of the infrastructure lidar service; ``infra_lidar.toml`` lists them with units and reasons.
 
-The defaults are our own design. ``ARTICLE_GROUND`` and ``ARTICLE_CLUSTERING`` are the settings of the article the
-pipeline started from (see README.md), for comparison and for the benchmark.
+The defaults are our own design. ``ARTICLE_GROUND``, ``ARTICLE_CLUSTERING`` and ``ARTICLE_TRACKING`` are the settings of
+the article the pipeline started from (see README.md), for comparison and for the benchmark.
 """
 
 from __future__ import annotations
@@ -12,6 +12,9 @@ import msgspec
 from msgspec import Meta
 
 from common.config import Section, ServiceConfig
+from services.infra_lidar.tracking_config import ARTICLE_TRACKING, TrackingConfig
+
+__all__ = ["ARTICLE_CLUSTERING", "ARTICLE_GROUND", "ARTICLE_TRACKING", "InfraLidarConfig", "TrackingConfig"]
 
 Positive = Annotated[float, Meta(gt=0.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
@@ -116,36 +119,12 @@ class ClassifierConfig(Section, frozen=True, kw_only=True):
     min_confidence: Share = 0.45  # below this an object is called "unknown": an obstacle, but nobody knows which
 
 
-class TrackingConfig(Section, frozen=True, kw_only=True):
-    """Constant-velocity Kalman filters, Hungarian assignment, lifetimes in seconds."""
-
-    boxes: Literal["visible", "full"] = "visible"  # boxes of the visible part (clusters) or of the whole object
-    position_sigma_m: Positive = 0.15  # error of a box edge ("full": of the centre)
-    height_sigma_m: Positive = 0.3
-    acceleration_sigma: Positive = 2.0  # spectral density of the process noise, m/s^2 per sqrt(Hz)
-    velocity_sigma_mps: Positive = 6.0  # of a new track
-    gate: Positive = 7.81  # squared Mahalanobis distance: 95 % of a chi-square with 3 degrees of freedom
-    class_weight: NotNegative = 1.0  # of the class term in the cost of a pair
-    size_gain: Share = 0.3  # how fast a track's size follows what is seen
-    yaw_gain: Share = 0.3
-    confirm_hits: Annotated[int, Meta(ge=1)] = 3
-    confirm_s: NotNegative = 0.15
-    tentative_gap_s: NotNegative = 0.15  # a new track dies after this long without a detection
-    coast_s: NotNegative = 0.6  # a confirmed one after this long
-    score_s: Positive = 0.5  # time constant of the score
-    vote_s: Positive = 3.0  # how long a class vote counts
-    min_vote: Share = 0.4  # a class needs this share of the votes, or the track is "unknown"
-    movement_m: Positive = 0.5  # a track is standing until it has come this far within movement_s
-    movement_s: Positive = 1.0
-    first_id: Annotated[int, Meta(ge=0, le=9999)] = 0  # several sensors on one host: give each its own
-
-
 ARTICLE_GROUND = GroundConfig(
     method="flat", range_max_m=80.0, height_min_m=-1.0, height_max_m=3.0, ring_m=5.0, below_m=0.10, keep_below=True
 )  # fmt: skip
 ARTICLE_CLUSTERING = ClusteringConfig(
-    cell_growth_m=0.0, min_cell_points=2, min_points=20, max_points=15_000, min_top_m=-100.0, max_diagonal_m=15.0,
-    body_height_m=0.0, trim_ground=True, split="gap", merge="engulfed",
+    cell_m=0.15, cell_growth_m=0.0, min_cell_points=2, min_points=20, max_points=15_000, min_top_m=-100.0,
+    max_diagonal_m=15.0, body_height_m=0.0, trim_ground=True, split="gap", merge="engulfed",
 )  # fmt: skip
 
 

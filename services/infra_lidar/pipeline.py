@@ -88,10 +88,9 @@ class InfraLidarPipeline:
 
         # 6. Learn the fixed scene, as long as it is not known. Then: can the sensor see at all?
         cluster_id = parted.spread(found.cluster_id)
-        if self.scene.learn(stamp_ns, points, parted, _road_user(clusters, cluster_id)):
-            self.tracker = MultiObjectTracker(
-                self.config.tracking
-            )  # what stands is about to vanish: no track of it may
+        known = self.scene.learn(stamp_ns, points, parted, _road_user(clusters, cluster_id))
+        if known is not None:
+            self.tracker.forget(_vanished(known, cluster_id, len(clusters)))  # every other track keeps its id
         watch.lap("learn")
         total_ms = sum(watch.stage_ms.values())
         state, reason = self.blindness.judge(parted.seen, quality, total_ms, self.calibration.complaint)
@@ -136,6 +135,12 @@ def _road_user(clusters: ClusterSet, cluster_id: np.ndarray) -> np.ndarray:
     sure = clusters.confidences >= SURE
     user = np.array([label != CLASSES[BACKGROUND] for label in clusters.labels], bool) & sure
     return np.asarray(np.append(user, False)[cluster_id])  # the last one is for id -1
+
+
+def _vanished(known: np.ndarray, cluster_id: np.ndarray, count: int) -> np.ndarray:
+    """(count,) bool: clusters of which more than a tenth is fixed scene, ``known`` (N,), and not seen any more."""
+    total = np.bincount(cluster_id + 1, minlength=count + 1)[1:]
+    return np.asarray(np.bincount(cluster_id[known] + 1, minlength=count + 1)[1:] > 0.1 * total)
 
 
 def _detections(clusters: ClusterSet, T_map_level: np.ndarray) -> Detections:

@@ -69,24 +69,25 @@ class Scene:
             return self._whole(stamp_ns, points, calibration)
         return self._rest(stamp_ns, points, sifted, calibration)
 
-    def learn(self, stamp_ns: int, points: np.ndarray, parted: Parted, road_user: np.ndarray) -> bool:
+    def learn(self, stamp_ns: int, points: np.ndarray, parted: Parted, road_user: np.ndarray) -> np.ndarray | None:
         """Teach the background a whole frame; road_user (N,) bool: points of clusters that are no background.
 
-        Returns True when this frame ended the learning.
+        Returns (N,) bool, the points that are background from now on, when this frame ended the learning; else None.
         """
         ready = self._config.background.enabled and self._keeper.settled and self._complete
         if not ready or parted.source is not None:
-            return False
+            return None
         if self.background.lost:
             self.background.restart()
         if self.background.model is not None:
-            return False
+            return None
         self.background.learn(stamp_ns, points, parted.ground, road_user, self.ground.surface)
         if self.background.model is None:
-            return False
+            return None
         drawn = self._structure.draw(parted.frame, road_user)
         self.background.model = replace(self.background.model, structure=drawn)
-        return True
+        sifted = self.background.sift(points, self._config.blindness.near_m)
+        return np.zeros(len(points), bool) if sifted is None else sifted.known.copy()
 
     def structural(self, parted: Parted, found: ClusterPoints, ground_z_m: np.ndarray) -> np.ndarray:
         """(K,) bool: clusters of a sifted frame that lie within fixed structure; none of a whole frame do."""

@@ -7,7 +7,6 @@ moves at all (``tracking_shape``). Lifetimes are seconds, not frames. No clock, 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import get_args
@@ -15,15 +14,17 @@ from typing import get_args
 import numpy as np
 
 from common.messages import ObjectLabel, ObjectTrack, check_shape
-from services.infra_lidar.classes import BACKGROUND, CLASSES, LABELS, UNKNOWN
-from services.infra_lidar.config import TrackingConfig
-from services.infra_lidar.tracking_assign import associate, pair_costs
-from services.infra_lidar.tracking_filter import TRACK, TRAIL, predict
-from services.infra_lidar.tracking_shape import judge_movement, note_places, pieces_of_known, update_pairs
+from services.infra_lidar.classes import CLASSES, LABELS
+from services.infra_lidar.tracking_assign import allowed_pairs, associate
+from services.infra_lidar.tracking_config import TrackingConfig
+from services.infra_lidar.tracking_filter import DETECTION, TRACK, TRAIL, parameters, predict
+from services.infra_lidar.tracking_life import begin_frame, found, judge_lives, messages
+from services.infra_lidar.tracking_overlap import absorb_doubles, founders
+from services.infra_lidar.tracking_shape import judge_movement, update_pairs
 
 assert set(LABELS) == set(get_args(ObjectLabel))
 
-_DRIFT_NS = 200_000_000  # for so long a lost track goes on with what is known of its velocity, moving or not
+_LABEL_INDEX: dict[str, int] = {label: index for index, label in enumerate(LABELS)}
 
 
 @dataclass(frozen=True)
@@ -53,17 +54,25 @@ class Detections:
         if unknown:
             raise ValueError(f"labels: {unknown} not among {', '.join(LABELS)}")
 
-    def class_chances(self) -> np.ndarray:
-        """(K, C) probabilities: as given, or the confidence on the label and the rest spread over the others."""
-        if self.probabilities is not None:
-            return np.ascontiguousarray(self.probabilities, np.float64)
-        index = np.array([LABELS.index(label) for label in self.labels], np.int64)
-        known = index < len(CLASSES)
-        share = np.clip(np.asarray(self.confidence, np.float64), 0.0, 1.0)
-        chances = np.repeat((1.0 - share[:, None]) / (len(CLASSES) - 1), len(CLASSES), axis=1)
-        chances[np.flatnonzero(known), index[known]] = share[known]
-        chances[~known] = 1.0 / len(CLASSES)
-        return chances
+    def records(self) -> np.ndarray:
+        """(K,) ``DETECTION``: what the kernels work on."""
+        made = np.empty(len(self.labels), DETECTION)
+        made["position"], made["size"], made["yaw"] = self.position_m, self.size_m, self.yaw_rad
+        made["label"] = list(map(_LABEL_INDEX.__getitem__, self.labels))
+        made["confidence"] = np.minimum(np.maximum(self.confidence, 0.0), 1.0)
+        made["points"] = 0 if self.points is None else self.points
+        made["chances"] = _chances(made) if self.probabilities is None else self.probabilities
+        return made
+
+
+def _chances(made: np.ndarray) -> np.ndarray:
+    """(K, C) probabilities: the confidence on the label and the rest spread over the others; unknown is evenly so."""
+    count, known = len(CLASSES), made["label"] < len(CLASSES)
+    share = np.where(known, made["confidence"], 1.0 / count)
+    chances = np.empty((len(made), count))
+    chances[:] = ((1.0 - share) / (count - 1))[:, None]
+    chances[np.arange(len(made)), np.minimum(made["label"], count - 1)] = share
+    return chances
 
 
 class MultiObjectTracker:
@@ -75,11 +84,14 @@ class MultiObjectTracker:
 
     def __init__(self, config: TrackingConfig) -> None:
         self._config = config
+        self._settings = parameters(config)
+        self._new_cov = _covariance_of_new(config)
         self._tracks = np.zeros(0, TRACK)
         self._stamp_ns = 0
         self._next_id = -1
         self._ring_ns = np.zeros(TRAIL, np.int64)  # when the trail's slots were written
         self._frame = 0
+        self.absorbed: dict[int, int] = {}  # tracks that were given up in the last frame, and for which
 
     @property
     def matches(self) -> dict[int, int]:
@@ -88,147 +100,81 @@ class MultiObjectTracker:
         return dict(zip(hit["track_id"].tolist(), hit["detection"].tolist(), strict=True))
 
     def update(self, stamp_ns: int, detections: Detections) -> list[ObjectTrack]:
+        """One frame: ``step``, then ``messages``."""
+        self.step(stamp_ns, detections)
+        return self.messages()
+
+    def step(self, stamp_ns: int, detections: Detections) -> None:
         """One frame. A stamp that is not later than the last one begins anew: all tracks are dropped."""
         # Bring every track to the time of this frame
-        self._advance(stamp_ns)
+        dt_s, seen, p = self._advance(stamp_ns), detections.records(), self._settings
 
         # Find the cheapest assignment of detections to tracks
-        position, size, yaw = _boxes(detections)
-        chances = detections.class_chances()
-        rows, columns = associate(self._costs(position, size, yaw, chances))
+        rows, columns, costs = allowed_pairs(self._tracks, seen, p)
+        rows, columns = associate(rows, columns, costs, len(self._tracks), len(seen))
 
         # Correct the tracks that were seen, and decide which of all move
-        points = _points(detections)
-        self._correct(np.column_stack((rows, columns)), position, size, yaw, chances, points)
-        self._judge(np.asarray(detections.confidence, np.float64))
+        update_pairs(self._tracks, rows, columns, seen, dt_s, stamp_ns, p)
+        judge_movement(self._tracks, self._frame % TRAIL, self._frames_back(), p)
 
-        # Retire, then found new tracks from what is left
-        self._retire()
-        self._found(detections, np.setdiff1d(np.arange(len(position)), columns), position, size, yaw, chances, points)
-        return self._report()
+        # Confirm, retire, then found new tracks from what is left
+        self._keep(judge_lives(self._tracks, seen, dt_s, stamp_ns, p))
+        self._found(seen, founders(self._tracks, seen, columns, p))
+        self._absorb()
 
-    def _advance(self, stamp_ns: int) -> None:
+    def messages(self) -> list[ObjectTrack]:
+        """All tracks as of the last frame."""
+        return messages(self._tracks, self._stamp_ns, self._config.min_vote)
+
+    def forget(self, vanished: np.ndarray) -> None:
+        """Drop the tracks that stand and whose detection of the last frame, (K,) bool, will not be seen again, or that
+        had none: what remains of them would look as if it moved. So would the rest of what stands, compared with how
+        it was seen until now: that comparison begins anew. Tracks that are kept go on under their ids."""
+        gone = np.append(vanished, True)[self._tracks["detection"]]  # the last one is for -1, no detection
+        self._keep(self._tracks["moving"] | (~gone & self._tracks["confirmed"]))
+        standing = ~self._tracks["moving"]
+        self._tracks["frames"][standing], self._tracks["run"][standing] = 0, 0
+
+    def _advance(self, stamp_ns: int) -> float:
         if self._next_id < 0:
             self._next_id = (stamp_ns // 1_000_000_000 % 86_400) * 10_000 + self._config.first_id
         if stamp_ns <= self._stamp_ns:
             self._tracks = self._tracks[:0]
-        self._dt_s = (stamp_ns - self._stamp_ns) * 1e-9
+        dt_s = (stamp_ns - self._stamp_ns) * 1e-9
         self._stamp_ns = stamp_ns
         self._frame += 1
         self._ring_ns[self._frame % TRAIL] = stamp_ns
-        self._stop_standing()
-        self._tracks["detection"] = -1
-        predict(self._tracks, self._dt_s, self._config.acceleration_sigma)
+        begin_frame(self._tracks, stamp_ns)
+        predict(self._tracks, dt_s, self._settings)
+        return dt_s
 
-    def _stop_standing(self) -> None:
-        """What stood as far as anybody can tell, and is lost, does not drift on with the noise of its velocity."""
-        t = self._tracks
-        lost = self._stamp_ns - t["seen_ns"] > _DRIFT_NS
-        t["mean"][lost & ~t["moving"], 3:] = 0.0
+    def _frames_back(self) -> int:
+        """How many of the last frames lie within ``movement_s``."""
+        return int(np.count_nonzero(self._stamp_ns - self._ring_ns <= self._config.movement_s * 1e9))
 
-    def _costs(self, position: np.ndarray, size: np.ndarray, yaw: np.ndarray, chances: np.ndarray) -> np.ndarray:
-        c = self._config
-        return np.asarray(
-            pair_costs(
-                self._tracks, position, size, yaw, chances,
-                c.position_sigma_m, c.height_sigma_m, c.gate, c.class_weight, c.boxes == "visible",
-            )
-        )  # fmt: skip
+    def _keep(self, alive: np.ndarray) -> None:
+        if not alive.all():
+            self._tracks = self._tracks[alive]
 
-    def _correct(
-        self, pairs: np.ndarray, position: np.ndarray, size: np.ndarray, yaw: np.ndarray, chances: np.ndarray,
-        points: np.ndarray,
-    ) -> None:  # fmt: skip
-        c = self._config
-        update_pairs(
-            self._tracks, pairs, position, size, yaw, chances, points, c.position_sigma_m, c.height_sigma_m,
-            c.boxes == "visible", c.size_gain, c.yaw_gain, math.exp(-self._dt_s / c.vote_s), self._stamp_ns,
-        )  # fmt: skip
-
-    def _judge(self, confidence: np.ndarray) -> None:
-        c, tracks = self._config, self._tracks
-        within = self._stamp_ns - self._ring_ns <= c.movement_s * 1e9
-        judge_movement(tracks, self._frame % TRAIL, int(within.sum()), c.movement_m)
-        share = 1.0 - math.exp(-self._dt_s / c.score_s)
-        hit = tracks["detection"] >= 0
-        target = np.zeros(len(tracks))
-        target[hit] = np.clip(confidence[tracks["detection"][hit]], 0.0, 1.0)
-        tracks["score"] += share * (target - tracks["score"])
-        age_s = (self._stamp_ns - tracks["born_ns"]) * 1e-9
-        tracks["confirmed"] |= (tracks["hits"] >= c.confirm_hits) & (age_s >= c.confirm_s - 1e-6)
-
-    def _retire(self) -> None:
-        c = self._config
-        unseen_ns = self._stamp_ns - self._tracks["seen_ns"]
-        known_ns = self._tracks["seen_ns"] - self._tracks["born_ns"]
-        # Nobody waits for long for what was seen for a moment only.
-        gap_ns, coast_ns = round(c.tentative_gap_s * 1e9), np.minimum(round(c.coast_s * 1e9), known_ns)
-        allowed_ns = np.where(self._tracks["confirmed"], np.maximum(coast_ns, gap_ns), gap_ns)
-        if np.any(unseen_ns > allowed_ns):
-            self._tracks = self._tracks[unseen_ns <= allowed_ns]
-
-    def _found(
-        self, detections: Detections, free: np.ndarray, position: np.ndarray, size: np.ndarray, yaw: np.ndarray,
-        chances: np.ndarray, points: np.ndarray,
-    ) -> None:  # fmt: skip
-        c = self._config
-        free = np.array([d for d in free if detections.labels[d] != CLASSES[BACKGROUND]], np.int64)
-        if c.boxes == "visible" and len(free):
-            free = free[~pieces_of_known(self._tracks, position[free], size[free], chances[free])]
-        if not len(free):
+    def _absorb(self) -> None:
+        """One road user, one track."""
+        if not self._config.absorb:
             return
-        new = np.zeros(len(free), TRACK)
-        new["track_id"] = self._next_id + np.arange(len(free))
-        self._next_id += len(free)
-        new["mean"][:, :3], new["size"], new["yaw"] = position[free], size[free], yaw[free]
-        plane, height, speed = c.position_sigma_m**2, c.height_sigma_m**2, c.velocity_sigma_mps**2
-        new["cov"] = np.diag([plane, plane, height, speed, speed, 1.0])
-        new["votes"], new["points"], new["detection"] = chances[free], points[free], free
-        new["born_ns"] = new["seen_ns"] = self._stamp_ns
-        new["hits"], new["run"], new["frames"], new["presence"] = 1, 1, 1, 1.0
-        new["confirmed"] = c.confirm_hits <= 1 and c.confirm_s <= 0.0
-        note_places(new, self._frame % TRAIL)
-        new["score"] = np.clip(np.asarray(detections.confidence, np.float64)[free], 0.0, 1.0) * 0.5
-        self._tracks = np.concatenate((self._tracks, new))
+        into = absorb_doubles(self._tracks)
+        lost = np.flatnonzero(into >= 0)
+        ids = self._tracks["track_id"]
+        self.absorbed = dict(zip(ids[lost].tolist(), ids[into[lost]].tolist(), strict=True))
+        self._keep(into < 0)
 
-    def _report(self) -> list[ObjectTrack]:
-        tracks = self._tracks
-        votes = tracks["votes"] / np.maximum(tracks["votes"].sum(axis=1, keepdims=True), 1e-12)
-        best = np.where(votes.max(axis=1, initial=0.0) < self._config.min_vote, UNKNOWN, votes.argmax(axis=1))
-        velocity = np.where(tracks["moving"][:, None], tracks["mean"][:, 3:], 0.0)
-        coasting = tracks["detection"] < 0
-        columns = zip(
-            tracks["track_id"].tolist(), best.tolist(), votes.max(axis=1, initial=0.0).tolist(),
-            _triples(tracks["mean"][:, :3]), _triples(velocity), tracks["cov"].tolist(), _triples(tracks["size"]),
-            tracks["yaw"].tolist(), ((self._stamp_ns - tracks["born_ns"]) * 1e-9).tolist(),
-            tracks["score"].tolist(), tracks["confirmed"].tolist(), coasting.tolist(), tracks["points"].tolist(),
-            strict=True,
-        )  # fmt: skip
-        return [
-            ObjectTrack(
-                track_id=track_id, label=LABELS[label], label_confidence=min(share, 1.0), position_m=place,
-                velocity_mps=speed, covariance=cov, size_m=size, yaw_rad=yaw, age_s=age, score=score,
-                state=("coasting" if lost else "confirmed") if confirmed else "tentative", points=0 if lost else seen,
-            )
-            for track_id, label, share, place, speed, cov, size, yaw, age, score, confirmed, lost, seen in columns
-        ]  # fmt: skip
+    def _found(self, seen: np.ndarray, which: np.ndarray) -> None:
+        if len(which):
+            slot = self._frame % TRAIL
+            new = found(seen, which, self._next_id, self._stamp_ns, slot, self._new_cov, self._settings)
+            self._next_id += len(which)
+            self._tracks = np.concatenate((self._tracks, new))
 
 
-def _triples(rows: np.ndarray) -> list[tuple[float, float, float]]:
-    """(N, 3) as N tuples."""
-    return list(zip(rows[:, 0].tolist(), rows[:, 1].tolist(), rows[:, 2].tolist(), strict=True))
-
-
-def _boxes(detections: Detections) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position, size and yaw as contiguous float64."""
-    return (
-        np.ascontiguousarray(detections.position_m, np.float64),
-        np.ascontiguousarray(detections.size_m, np.float64),
-        np.ascontiguousarray(detections.yaw_rad, np.float64),
-    )
-
-
-def _points(detections: Detections) -> np.ndarray:
-    if detections.points is None:
-        return np.zeros(len(detections.labels), np.int64)
-    return np.ascontiguousarray(detections.points, np.int64)
+def _covariance_of_new(c: TrackingConfig) -> np.ndarray:
+    plane, height = c.birth_sigma_m or c.position_sigma_m, c.birth_sigma_m or c.height_sigma_m
+    sigma = [plane, plane, height, c.velocity_sigma_mps, c.velocity_sigma_mps, c.climb_sigma_mps]
+    return np.diag(np.square(sigma))

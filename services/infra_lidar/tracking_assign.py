@@ -2,92 +2,139 @@
 
 Cost of a pair = d2 + ln det S + w * class term. d2 is the squared Mahalanobis distance of the innovation and has to
 pass the gate; ln det S keeps a track that knows little from winning every tie; the class term is -ln of the chance
-that track and detection are of one class, so that another class costs something and forbids nothing.
+that track and detection are of one class, so that another class costs something and forbids nothing. The article's
+cost is a setting: the distance alone, and another class is forbidden.
+
+Only pairs within reach are looked at: detections are sorted along x, and a track looks into its own stretch.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy.optimize import linear_sum_assignment
 
+from services.infra_lidar.jit import kernel
 from services.infra_lidar.tracking_filter import innovation
 
 FORBIDDEN = 1e6
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+_ROOM = 6  # allowed pairs a track that there is room for at first
 
 
-def associate(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def associate(
+    rows: np.ndarray, columns: np.ndarray, costs: np.ndarray, tracks: int, detections: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Pairs (track indices, detection indices) of least total cost among as many allowed pairs as possible.
 
-    Two that are allowed nobody but each other need no Hungarian: it is left with the contested ones.
+    ``rows``, ``columns``, ``costs`` (A,): the allowed pairs of ``tracks`` tracks and ``detections`` detections. Two
+    that are allowed nobody but each other need no Hungarian: it is left with the contested ones.
     """
-    rows, columns, contested_rows, contested_columns = _easy_pairs(cost)
-    if len(contested_rows):
-        rest = cost[np.ix_(contested_rows, contested_columns)]
-        r, c = linear_sum_assignment(rest)
-        allowed = rest[r, c] < FORBIDDEN
-        rows = np.concatenate((rows, contested_rows[r[allowed]]))
-        columns = np.concatenate((columns, contested_columns[c[allowed]]))
-    return rows, columns
+    sure_t, sure_d, contested_t, contested_d, rest = _easy_pairs(rows, columns, costs, tracks, detections)
+    if not len(contested_t):
+        return sure_t, sure_d
+    r, c = linear_sum_assignment(rest)
+    allowed = rest[r, c] < FORBIDDEN
+    return (
+        np.concatenate((sure_t, contested_t[r[allowed]])),
+        np.concatenate((sure_d, contested_d[c[allowed]])),
+    )
 
 
-@_jit
-def _easy_pairs(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rows and columns of the pairs that have no alternative, then the rows and columns that have one."""
-    n, k = cost.shape
-    in_row, in_column, only = np.zeros(n, np.int64), np.zeros(k, np.int64), np.zeros(n, np.int64)
-    for t in range(n):
-        for d in range(k):
-            if cost[t, d] < FORBIDDEN:
-                in_row[t], in_column[d], only[t] = in_row[t] + 1, in_column[d] + 1, d
-    easy = np.zeros(n, np.bool_)
-    for t in range(n):
-        easy[t] = in_row[t] == 1 and in_column[only[t]] == 1
-        if easy[t]:
-            in_row[t] = in_column[only[t]] = 0
-    rows = np.flatnonzero(easy)
-    return rows, only[rows], np.flatnonzero(in_row), np.flatnonzero(in_column)
+@kernel
+def _easy_pairs(
+    rows: np.ndarray, columns: np.ndarray, costs: np.ndarray, tracks: int, detections: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The pairs that have no alternative, then the tracks and detections that have one, and their cost matrix."""
+    in_row, in_column = np.zeros(tracks, np.int64), np.zeros(detections, np.int64)
+    for i in range(len(rows)):
+        in_row[rows[i]] += 1
+        in_column[columns[i]] += 1
+    easy = np.zeros(len(rows), np.bool_)
+    for i in range(len(rows)):
+        easy[i] = in_row[rows[i]] == 1 and in_column[columns[i]] == 1
+        if easy[i]:
+            in_row[rows[i]] = in_column[columns[i]] = 0
+    contested_t, contested_d = np.flatnonzero(in_row), np.flatnonzero(in_column)
+    for i in range(len(contested_t)):
+        in_row[contested_t[i]] = i
+    for i in range(len(contested_d)):
+        in_column[contested_d[i]] = i
+    rest = np.full((len(contested_t), len(contested_d)), FORBIDDEN)
+    for i in range(len(rows)):
+        if not easy[i]:
+            rest[in_row[rows[i]], in_column[columns[i]]] = costs[i]
+    return rows[easy], columns[easy], contested_t, contested_d, rest
 
 
-@_jit
-def _another_size(known: np.ndarray, seen: np.ndarray) -> bool:
-    """A track may lose most of its visible part, but does not become several times as large in one turn."""
-    return max(seen[0], seen[1]) > 2.5 * max(known[0], known[1]) + 1.0
-
-
-@_jit
-def pair_costs(
-    tracks: np.ndarray, position: np.ndarray, size: np.ndarray, yaw: np.ndarray, chances: np.ndarray,
-    sigma: float, height_sigma: float, gate: float, class_weight: float, visible: bool,
-) -> np.ndarray:  # fmt: skip
-    """(N, K) cost, ``FORBIDDEN`` outside the gate. ``chances`` (K, C): the class probabilities of the detections."""
-    cost = np.full((len(tracks), len(position)), FORBIDDEN)
-    pair = np.empty(5)
+@kernel
+def allowed_pairs(tracks: np.ndarray, detections: np.ndarray, p: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Track, detection and cost of every pair within the gate, three arrays of one length."""
+    count = len(detections)
+    x, extent = np.empty(count), np.empty(count)
+    for d in range(count):
+        x[d] = detections[d].position[0]
+        extent[d] = 0.5 * (detections[d].size[0] + detections[d].size[1]) if p.visible else 0.0
+    order = np.argsort(x)
+    x, widest = x[order], extent.max() if count else 0.0
+    room = _ROOM * len(tracks) + 16
+    rows, columns, costs, found = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room), 0
     for t in range(len(tracks)):
         track = tracks[t]
-        mean, cov, votes = track.mean, track.cov, track.votes
-        total = votes.sum()
-        own = 0.5 * (track.size[0] + track.size[1]) if visible else 0.0
-        reach = own + 4.0 * math.sqrt(max(cov[0, 0], cov[1, 1]) + sigma * sigma) * math.sqrt(gate / 7.81)
-        for d in range(len(position)):
-            beyond = reach + (0.5 * (size[d, 0] + size[d, 1]) if visible else 0.0)
-            if abs(position[d, 0] - mean[0]) > beyond or abs(position[d, 1] - mean[1]) > beyond:
+        reach = _reach(track, p)
+        for k in range(np.searchsorted(x, track.mean[0] - reach - widest), count):
+            if x[k] > track.mean[0] + reach + widest:
+                break
+            d = order[k]
+            cost = _pair_cost(track, detections[d], reach + extent[d], p)
+            if cost >= FORBIDDEN:
                 continue
-            if visible and _another_size(track.size, size[d]):
-                continue
-            innovation(mean, track.size, track.yaw, position[d], size[d], yaw[d], sigma, visible, pair)
-            sxx, sxy, syy = cov[0, 0] + pair[2], cov[0, 1] + pair[3], cov[1, 1] + pair[4]
-            szz = cov[2, 2] + height_sigma * height_sigma
-            det = sxx * syy - sxy * sxy
-            dz = position[d, 2] - mean[2]
-            d2 = (pair[0] ** 2 * syy - 2.0 * pair[0] * pair[1] * sxy + pair[1] ** 2 * sxx) / det + dz * dz / szz
-            if d2 > gate:
-                continue
-            same = 0.0
-            for c in range(len(votes)):
-                same += votes[c] * chances[d, c]
-            cost[t, d] = d2 + math.log(det * szz) - class_weight * math.log(same / total + 0.02)
-    return cost
+            if found == len(rows):
+                rows, columns = np.append(rows, np.empty_like(rows)), np.append(columns, np.empty_like(columns))
+                costs = np.append(costs, np.empty_like(costs))
+            rows[found], columns[found], costs[found] = t, d, cost
+            found += 1
+    return rows[:found], columns[:found], costs[:found]
+
+
+@kernel
+def _reach(track: Any, p: Any) -> float:
+    """How far from the track, along x or y, the centre of a point-like detection may lie and pass the gate."""
+    sigma = p.position_sigma_m
+    own = 0.5 * (track.size[0] + track.size[1]) if p.visible else 0.0
+    spread = max(track.cov[0, 0], track.cov[1, 1]) + sigma * sigma
+    return own + 1.45 * math.sqrt(spread * p.gate)
+
+
+@kernel
+def _pair_cost(track: Any, detection: Any, reach: float, p: Any) -> float:
+    """Cost of one pair, ``FORBIDDEN`` outside the gate."""
+    mean, cov, position = track.mean, track.cov, detection.position
+    if abs(position[0] - mean[0]) > reach or abs(position[1] - mean[1]) > reach:
+        return FORBIDDEN
+    if p.hard and detection.label != track.label:
+        return FORBIDDEN
+    if p.visible and another_size(track.size, detection.size):
+        return FORBIDDEN
+    ex, ey, rxx, rxy, ryy = innovation(mean, track.size, track.yaw, position, detection.size, detection.yaw, p)
+    sxx, sxy, syy = cov[0, 0] + rxx, cov[0, 1] + rxy, cov[1, 1] + ryy
+    szz = cov[2, 2] + p.height_sigma_m**2
+    det = sxx * syy - sxy * sxy
+    dz = position[2] - mean[2]
+    d2 = (ex * ex * syy - 2.0 * ex * ey * sxy + ey * ey * sxx) / det + dz * dz / szz
+    if d2 > p.gate:
+        return FORBIDDEN
+    if p.distance:
+        return math.sqrt(d2)
+    same = total = 0.0
+    for c in range(len(track.votes)):
+        same += track.votes[c] * detection.chances[c]
+        total += track.votes[c]
+    return d2 + math.log(det * szz) - p.class_weight * math.log(same / total + 0.02)
+
+
+@kernel
+def another_size(known: np.ndarray, seen: np.ndarray) -> bool:
+    """A track may lose most of its visible part, but does not become several times as large in one turn."""
+    return max(seen[0], seen[1]) > 2.5 * max(known[0], known[1]) + 1.0

@@ -5,8 +5,9 @@ turn. So a track counts as standing, and reports velocity 0, until a detection s
 from where they were ``movement_s`` ago: farther than ``movement_m`` plus what the visible extent usually differs by,
 and than three sigma of the position, after at least six detections (four in a row if twice as far), on a way that is
 straight (net displacement over 60 % of the path) and no single jump (no step over 60 % of it), seen in about every
-second frame or more: in between there is only a prediction. Once moving it stays so until the displacement falls under
-half of that.
+second frame or more: in between there is only a prediction. What is left of a hedge does not begin to move, either:
+most of its detections must be of something else than background. Once moving it stays so until the displacement falls
+under half of that.
 """
 
 from __future__ import annotations
@@ -15,43 +16,68 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from services.infra_lidar.classes import BACKGROUND
+from services.infra_lidar.jit import kernel
 from services.infra_lidar.tracking_filter import TRAIL, correct, edge_shift, extents_along, innovation
 
-_SAME_CLASS = 0.3  # chance of being of one class from which on a piece may belong to a whole
-_BREAKABLE_M2 = 2.0  # a vehicle may fall apart into pieces; two people who part are two people
 _MIN_PRESENCE = 0.45
+_MAX_FIXTURE = 0.3
 _HEADING_MPS = 1.5  # from this speed on the heading is where the track goes
-_jit = njit(nogil=True, cache=True, error_model="numpy")
 
 
-@_jit
+@kernel
 def update_pairs(
-    tracks: np.ndarray, pairs: np.ndarray, position: np.ndarray, size: np.ndarray, yaw: np.ndarray,
-    chances: np.ndarray, points: np.ndarray, sigma: float, height_sigma: float, visible: bool,
-    size_gain: float, yaw_gain: float, vote_keep: float, stamp_ns: int,
+    tracks: np.ndarray, rows: np.ndarray, columns: np.ndarray, detections: np.ndarray, dt_s: float, stamp_ns: int,
+    p: Any,
 ) -> None:  # fmt: skip
-    """Feed detection ``pairs[i, 1]`` to track ``pairs[i, 0]``, in place."""
-    pair, e = np.empty(5), np.empty(3)
-    for i in range(len(pairs)):
-        track, d = tracks[pairs[i, 0]], pairs[i, 1]
-        mean = track.mean
-        innovation(mean, track.size, track.yaw, position[d], size[d], yaw[d], sigma, visible, pair)
-        e[0], e[1], e[2] = pair[0], pair[1], position[d, 2] - mean[2]
-        left_x, left_y = position[d, 0] - mean[0] - e[0], position[d, 1] - mean[1] - e[1]
-        correct(mean, track.cov, e, pair[2], pair[3], pair[4], height_sigma * height_sigma)
-        _follow_size(track, size[d], yaw[d], left_x, left_y, size_gain, visible)
-        _follow_yaw(track, yaw[d], yaw_gain, visible)
-        for c in range(len(track.votes)):
-            track.votes[c] = vote_keep * track.votes[c] + chances[d, c]
+    """Feed detection ``columns[i]`` to track ``rows[i]``, in place."""
+    e, work, vote_keep = np.empty(3), np.empty((6, 6)), math.exp(-dt_s / p.vote_s)
+    for i in range(len(rows)):
+        track, seen = tracks[rows[i]], detections[columns[i]]
+        mean, position = track.mean, seen.position
+        ex, ey, rxx, rxy, ryy = innovation(mean, track.size, track.yaw, position, seen.size, seen.yaw, p)
+        e[0], e[1], e[2] = ex, ey, position[2] - mean[2]
+        left_x, left_y = position[0] - mean[0] - ex, position[1] - mean[1] - ey
+        correct(mean, track.cov, e, rxx, rxy, ryy, p.height_sigma_m**2, work)
+        _follow_size(track, seen.size, seen.yaw, left_x, left_y, p.size_gain, p.visible)
+        _follow_yaw(track, seen.yaw, p.yaw_gain, p.visible)
+        vote(track, seen, vote_keep, p)
+        track.fixture += 0.25 * ((seen.label == BACKGROUND) - track.fixture)
         track.hits += 1
         track.seen_ns = stamp_ns
-        track.points = points[d]
-        track.detection = d
+        track.points = seen.points
+        track.detection = columns[i]
 
 
-@_jit
+@kernel
+def vote(track: Any, seen: Any, keep: float, p: Any) -> None:
+    """Add a detection's word on the class; the label changes when another class leads by the margin."""
+    for c in range(len(track.votes)):
+        if not p.mean_votes:
+            track.votes[c] = keep * track.votes[c] + seen.chances[c]
+            track.vote_count[c] = keep * track.vote_count[c] + 1.0
+        elif c == seen.label:
+            track.votes[c] = keep * track.votes[c] + seen.confidence
+            track.vote_count[c] = keep * track.vote_count[c] + 1.0
+    best = 0
+    for c in range(1, len(track.votes)):
+        if strength(track, c) > strength(track, best):
+            best = c
+    leads = strength(track, best) > strength(track, track.label) + p.vote_margin
+    if leads or (track.hits == 0 and not p.mean_votes):
+        track.label = best
+
+
+@kernel
+def strength(track: Any, label: int) -> float:
+    """How much of the votes a class has; 0 for "unknown"."""
+    if label >= len(track.votes) or track.vote_count[label] == 0.0:
+        return 0.0
+    return min(track.votes[label] / track.vote_count[label], 1.0)
+
+
+@kernel
 def _follow_size(
     track: Any, box: np.ndarray, box_yaw: float, left_x: float, left_y: float, gain: float, visible: bool
 ) -> None:
@@ -70,7 +96,7 @@ def _follow_size(
     track.mean[1] += s * along + c * across
 
 
-@_jit
+@kernel
 def _resize(size: np.ndarray, axis: int, measured: float, left: float, gain: float, visible: bool) -> float:
     shrink = 0.1 if size[axis] > 1.5 else 0.5
     rate = gain if measured > size[axis] or not visible else shrink * gain
@@ -80,7 +106,7 @@ def _resize(size: np.ndarray, axis: int, measured: float, left: float, gain: flo
     return min(max(left, -room), room)
 
 
-@_jit
+@kernel
 def _follow_yaw(track: Any, yaw: float, gain: float, visible: bool) -> None:
     """Turn towards the measured box, or towards where the track goes once it is under way."""
     vx, vy = track.mean[3], track.mean[4]
@@ -98,12 +124,12 @@ def _follow_yaw(track: Any, yaw: float, gain: float, visible: bool) -> None:
     track.yaw = _wrap(track.yaw + gain * _wrap(turn))
 
 
-@_jit
+@kernel
 def _wrap(angle: float) -> float:
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-@_jit
+@kernel
 def note_place(track: Any, slot: int) -> None:
     """Write centre and axis-parallel half extents into a slot of the trail."""
     c, s, place = abs(math.cos(track.yaw)), abs(math.sin(track.yaw)), track.trail[slot]
@@ -112,14 +138,14 @@ def note_place(track: Any, slot: int) -> None:
     place[3] = 0.5 * (s * track.size[0] + c * track.size[1])
 
 
-@_jit
+@kernel
 def note_places(tracks: np.ndarray, slot: int) -> None:
     """The same for all of them."""
     for t in range(len(tracks)):
         note_place(tracks[t], slot)
 
 
-@_jit
+@kernel
 def _way(now: np.ndarray, then: np.ndarray) -> float:
     """How far the edges say it has come."""
     along, _ = edge_shift(now[0] - then[0], 2.0 * now[2], 2.0 * then[2])
@@ -127,8 +153,8 @@ def _way(now: np.ndarray, then: np.ndarray) -> float:
     return math.hypot(along, across)
 
 
-@_jit
-def judge_movement(tracks: np.ndarray, slot: int, back: int, movement_m: float) -> None:
+@kernel
+def judge_movement(tracks: np.ndarray, slot: int, back: int, p: Any) -> None:
     """Write the present place into ring slot ``slot`` and decide who moves; ``back`` frames are looked at."""
     for t in range(len(tracks)):
         track = tracks[t]
@@ -137,40 +163,25 @@ def judge_movement(tracks: np.ndarray, slot: int, back: int, movement_m: float) 
         track.frames += 1
         track.run = track.run + 1 if track.detection >= 0 else 0
         track.presence += 0.25 * ((track.detection >= 0) - track.presence)
-        if steps < 3 or max(track.run, track.hits - 2) < 4 or track.detection < 0:
-            continue
-        path = largest = 0.0
-        for k in range(steps):
-            now, before = track.trail[(slot - k) % TRAIL], track.trail[(slot - k - 1) % TRAIL]
-            step = math.hypot(now[0] - before[0], now[1] - before[1])
-            path, largest = path + step, max(largest, step)
-        net = _way(track.trail[slot], track.trail[(slot - steps) % TRAIL])
-        needed = max(movement_m + track.wobble, 3.0 * math.sqrt(max(track.cov[0, 0], track.cov[1, 1])))
-        if track.moving:
-            track.moving = net > 0.5 * needed
-        else:
-            sure = steps >= 5 and track.hits >= 6
-            far = net > needed if sure else net > 2.0 * needed
-            straight = net > 0.6 * path and largest < 0.6 * net
-            track.moving = far and straight and track.presence > _MIN_PRESENCE
+        if p.movement_m == 0.0:
+            track.moving = True
+        elif steps >= 3 and max(track.run, min(track.hits, track.frames) - 2) >= 4 and track.detection >= 0:
+            track.moving = _moves(track, slot, steps, p.movement_m)
 
 
-@_jit
-def pieces_of_known(tracks: np.ndarray, position: np.ndarray, size: np.ndarray, chances: np.ndarray) -> np.ndarray:
-    """(K,) bool: the detection lies inside the box of a confirmed track that was seen in this frame, is smaller, and
-    may well be of its class: a piece of an object that the clustering broke, and no object of its own."""
-    piece = np.zeros(len(position), np.bool_)
-    for t in range(len(tracks)):
-        track = tracks[t]
-        if not track.confirmed or track.detection < 0 or track.size[0] * track.size[1] < _BREAKABLE_M2:
-            continue
-        c, s, total = math.cos(track.yaw), math.sin(track.yaw), track.votes.sum()
-        for d in range(len(position)):
-            dx, dy = position[d, 0] - track.mean[0], position[d, 1] - track.mean[1]
-            inside = abs(c * dx + s * dy) < 0.5 * track.size[0] and abs(c * dy - s * dx) < 0.5 * track.size[1]
-            if inside and size[d, 0] * size[d, 1] < 0.7 * track.size[0] * track.size[1]:
-                same = 0.0
-                for k in range(len(track.votes)):
-                    same += track.votes[k] * chances[d, k]
-                piece[d] |= same > _SAME_CLASS * total
-    return piece
+@kernel
+def _moves(track: Any, slot: int, steps: int, movement_m: float) -> bool:
+    """Has it come far enough in the last ``steps`` frames, straight and without a jump?"""
+    net = _way(track.trail[slot], track.trail[(slot - steps) % TRAIL])
+    needed = max(movement_m + track.wobble, 3.0 * math.sqrt(max(track.cov[0, 0], track.cov[1, 1])))
+    if track.moving:
+        return net > 0.5 * needed
+    sure = steps >= 5 and min(track.hits, track.frames) >= 6
+    if track.presence <= _MIN_PRESENCE or track.fixture > _MAX_FIXTURE or net <= (needed if sure else 2.0 * needed):
+        return False
+    path = largest = 0.0
+    for k in range(steps):
+        now, before = track.trail[(slot - k) % TRAIL], track.trail[(slot - k - 1) % TRAIL]
+        step = math.hypot(now[0] - before[0], now[1] - before[1])
+        path, largest = path + step, max(largest, step)
+    return net > 0.6 * path and largest < 0.6 * net

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from hypothesis import given, settings
+from hypothesis import given
+from hypothesis import settings as how
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from services.infra_lidar.tracking_assign import FORBIDDEN, associate, pair_costs
-from services.infra_lidar.tracking_filter import TRACK, correct, edge_shift, innovation, predict
+from services.infra_lidar.tracking_assign import FORBIDDEN, allowed_pairs, associate
+from services.infra_lidar.tracking_config import TrackingConfig
+from services.infra_lidar.tracking_filter import DETECTION, TRACK, correct, edge_shift, innovation, parameters, predict
 
 
 def random_tracks(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -42,8 +44,9 @@ def test_every_track_equals_its_filterpy_twin() -> None:
     rng = np.random.default_rng(1)
     tracks = random_tracks(rng, 40)
     twins = [as_filterpy(track, 0.13, 2.5) for track in tracks]
+    settings, work = parameters(TrackingConfig(acceleration_sigma=2.5)), np.empty((6, 6))
     for _ in range(10):
-        predict(tracks, 0.13, 2.5)
+        predict(tracks, 0.13, settings)
         for t, twin in enumerate(twins):
             twin.predict()
             plane, r_zz = rng.normal(0, 0.3, (2, 2)), 0.2
@@ -51,21 +54,21 @@ def test_every_track_equals_its_filterpy_twin() -> None:
             noise[:2, :2], noise[2, 2] = plane @ plane.T + 0.05 * np.eye(2), r_zz
             z = rng.normal(0, 5, 3)
             e = z - tracks["mean"][t, :3]
-            correct(tracks["mean"][t], tracks["cov"][t], e, noise[0, 0], noise[0, 1], noise[1, 1], r_zz)
+            correct(tracks["mean"][t], tracks["cov"][t], e, noise[0, 0], noise[0, 1], noise[1, 1], r_zz, work)
             twin.update(z[:, None], R=noise)
     for track, twin in zip(tracks, twins, strict=True):
         np.testing.assert_allclose(track["mean"], twin.x[:, 0], atol=1e-9)
         np.testing.assert_allclose(track["cov"], twin.P, atol=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@how(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10_000), first=st.floats(0.001, 1.0), second=st.floats(0.001, 1.0))
 def test_two_steps_equal_one_of_the_same_time(seed: int, first: float, second: float) -> None:
     tracks = random_tracks(np.random.default_rng(seed), 3)
-    once = tracks.copy()
-    predict(tracks, first, 2.0)
-    predict(tracks, second, 2.0)
-    predict(once, first + second, 2.0)
+    once, settings = tracks.copy(), parameters(TrackingConfig())
+    predict(tracks, first, settings)
+    predict(tracks, second, settings)
+    predict(once, first + second, settings)
     np.testing.assert_allclose(tracks["mean"], once["mean"], atol=1e-9)
     np.testing.assert_allclose(tracks["cov"], once["cov"], atol=1e-9)
 
@@ -93,10 +96,10 @@ def test_an_interval_moves_only_as_far_as_its_edges_say(
 
 
 def test_the_edge_rule_works_along_the_tracks_own_axes() -> None:
-    mean, out, yaw = np.zeros(6), np.empty(5), np.pi / 3
+    mean, yaw, edges = np.zeros(6), np.pi / 3, parameters(TrackingConfig(position_sigma_m=0.1))
     along = np.array([np.cos(yaw), np.sin(yaw)])
     hidden = np.array([*(-1.0 * along), 0.0])  # the front half of a 4 m car is hidden
-    innovation(mean, np.array([4.0, 2.0, 1.5]), yaw, hidden, np.array([2.0, 2.0, 1.5]), yaw, 0.1, True, out)
+    out = innovation(mean, np.array([4.0, 2.0, 1.5]), yaw, hidden, np.array([2.0, 2.0, 1.5]), yaw, edges)
     np.testing.assert_allclose(out[:2], 0.0, atol=1e-12)
     noise = np.array([[out[2], out[3]], [out[3], out[4]]])
     assert along @ noise @ along == pytest.approx(0.01 + 4 / 12)
@@ -107,17 +110,20 @@ def test_the_edge_rule_works_along_the_tracks_own_axes() -> None:
 @pytest.mark.parametrize("turn", [0.0, np.pi / 2, np.pi, -np.pi / 2])
 def test_a_box_named_by_another_of_its_four_headings_is_the_same_box(turn: float) -> None:
     size = np.array([4.0, 2.0, 1.5]) if np.isclose(np.sin(turn), 0) else np.array([2.0, 4.0, 1.5])
-    out = np.empty(5)
-    innovation(np.zeros(6), np.array([4.0, 2.0, 1.5]), 0.2, np.array([0.5, 0, 0]), size, 0.2 + turn, 0.1, True, out)
+    edges, known, there = parameters(TrackingConfig()), np.array([4.0, 2.0, 1.5]), np.array([0.5, 0, 0])
+    out = innovation(np.zeros(6), known, 0.2, there, size, 0.2 + turn, edges)
     np.testing.assert_allclose(out[:2], [0.5, 0.0], atol=1e-9)
 
 
 def test_pair_costs_equal_the_formula_written_out() -> None:
     rng = np.random.default_rng(2)
     tracks = random_tracks(rng, 6)
-    places = tracks["mean"][[0, 1, 2, 3]][:, :3] + rng.normal(0, 0.4, (4, 3))
-    size, yaw, chances = rng.uniform(0.5, 4, (4, 3)), rng.uniform(-3, 3, 4), rng.dirichlet(np.ones(5), 4)
-    got = pair_costs(tracks, places, size, yaw, chances, 0.2, 0.3, 7.81, 1.0, False)
+    seen = np.zeros(4, DETECTION)
+    places = seen["position"] = tracks["mean"][:4, :3] + rng.normal(0, 0.4, (4, 3))
+    chances = seen["chances"] = rng.dirichlet(np.ones(5), 4)
+    rows, columns, costs = allowed_pairs(tracks, seen, parameters(TrackingConfig(boxes="full", position_sigma_m=0.2)))
+    got = np.full((6, 4), FORBIDDEN)
+    got[rows, columns] = costs
     for t, track in enumerate(tracks):
         for d in range(4):
             S = track["cov"][:3, :3] + np.diag([0.04, 0.04, 0.09])
@@ -128,19 +134,35 @@ def test_pair_costs_equal_the_formula_written_out() -> None:
             assert got[t, d] == pytest.approx(expected)
 
 
+def assigned(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    rows, columns = np.nonzero(cost < FORBIDDEN)
+    return associate(rows, columns, cost[rows, columns], *cost.shape)
+
+
+def test_more_pairs_than_there_was_room_for() -> None:
+    rng = np.random.default_rng(5)
+    tracks, seen = random_tracks(rng, 30), np.zeros(40, DETECTION)
+    tracks["mean"][:], seen["chances"] = 0.0, 0.2
+    tracks["cov"] = np.eye(6)
+    rows, columns, costs = allowed_pairs(tracks, seen, parameters(TrackingConfig(boxes="full")))
+    assert len(rows) == len(columns) == len(costs) == 30 * 40
+    assert len(set(zip(rows.tolist(), columns.tolist(), strict=True))) == 30 * 40
+    assert len(set(np.round(costs, 9))) <= 30
+
+
 def test_assignment_takes_the_cheapest_allowed_pairs() -> None:
     cost = np.array([[1.0, 2.0, FORBIDDEN], [1.5, FORBIDDEN, FORBIDDEN], [FORBIDDEN] * 3])
-    rows, columns = associate(cost)
+    rows, columns = assigned(cost)
     assert dict(zip(rows.tolist(), columns.tolist(), strict=True)) == {0: 1, 1: 0}
-    assert len(associate(np.empty((0, 5)))[0]) == 0
+    assert len(assigned(np.empty((0, 5)))[0]) == 0
 
 
-@settings(max_examples=60, deadline=None)
+@how(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 100_000), n=st.integers(0, 9), k=st.integers(0, 9), share=st.floats(0.0, 1.0))
 def test_leaving_out_the_easy_pairs_changes_nothing(seed: int, n: int, k: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     cost = np.where(rng.random((n, k)) < share, rng.normal(0, 3, (n, k)), FORBIDDEN)
-    rows, columns = associate(cost)
+    rows, columns = assigned(cost)
     r, c = linear_sum_assignment(cost)
     allowed = cost[r, c] < FORBIDDEN
     assert len(set(rows.tolist())) == len(rows) == allowed.sum()

@@ -1,0 +1,128 @@
+"""One road user, one track: pieces of a vehicle found no track of their own, and second tracks are given up."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from services.infra_lidar.classes import BACKGROUND, CLASSES
+from services.infra_lidar.jit import kernel
+from services.infra_lidar.tracking_assign import another_size
+
+_SAME_CLASS = 0.3  # chance of being of one class from which on a piece may belong to a whole
+_DOUBLE_SHARE = 0.33  # of a box inside another from which on two vehicles are one
+_YOUNG_NS = 1_000_000_000
+_LARGE = CLASSES.index("large_vehicle")
+_CAR_M, _LARGE_M = (5.5, 2.3), (19.0, 3.5)  # length and width that such a vehicle may have
+_CYCLIST, _PEDESTRIAN = CLASSES.index("cyclist"), CLASSES.index("pedestrian")
+_BREAKABLE_M2 = 2.0  # a vehicle may fall apart into pieces; two people who part are two people
+
+
+@kernel
+def founders(tracks: np.ndarray, detections: np.ndarray, taken: np.ndarray, p: Any) -> np.ndarray:
+    """Indices of the detections that may found a track: nobody ``taken`` them, no background, no piece of a whole."""
+    free = np.ones(len(detections), np.bool_)
+    free[taken] = False
+    for d in range(len(detections)):
+        free[d] = free[d] and detections[d].label != BACKGROUND
+    if p.visible and free.any():
+        for t in range(len(tracks)):
+            _claim_pieces(tracks[t], detections, free)
+    return np.flatnonzero(free)
+
+
+@kernel
+def _claim_pieces(track: Any, detections: np.ndarray, free: np.ndarray) -> None:
+    """A detection inside the box of a confirmed track that was seen in this frame, smaller than it, and maybe of its
+    class, is a piece of an object that the clustering broke: it is not free."""
+    if not track.confirmed or track.detection < 0 or track.size[0] * track.size[1] < _BREAKABLE_M2:
+        return
+    c, s, total = math.cos(track.yaw), math.sin(track.yaw), track.votes.sum()
+    for d in range(len(detections)):
+        if not free[d]:
+            continue
+        piece = detections[d]
+        dx, dy = piece.position[0] - track.mean[0], piece.position[1] - track.mean[1]
+        inside = abs(c * dx + s * dy) < 0.5 * track.size[0] and abs(c * dy - s * dx) < 0.5 * track.size[1]
+        if inside and piece.size[0] * piece.size[1] < 0.7 * track.size[0] * track.size[1]:
+            same = 0.0
+            for k in range(len(track.votes)):
+                same += track.votes[k] * piece.chances[k]
+            free[d] = same <= _SAME_CLASS * total
+
+
+@kernel
+def absorb_doubles(tracks: np.ndarray) -> np.ndarray:
+    """(N,) int64: -1, or the index of the track that this one is given up for. Two vehicles cannot be in one place:
+    where two tracks that go the same way share much of the smaller one's box, the older one lives on, with the box and
+    the filter of whichever has more points."""
+    into = np.full(len(tracks), -1, np.int64)
+    for a in range(len(tracks)):
+        if not (tracks[a].confirmed and _vehicle(tracks[a])):
+            continue
+        for b in range(len(tracks)):
+            older = tracks[a].track_id < tracks[b].track_id or not tracks[b].confirmed
+            if a == b or into[a] >= 0 or into[b] >= 0 or not older or not _vehicle(tracks[b]):
+                continue
+            if _goes_with(tracks[b], tracks[a]) and _shared(tracks[a], tracks[b]) > _DOUBLE_SHARE:
+                into[b] = a
+                if tracks[b].detection >= 0 and (tracks[a].detection < 0 or tracks[b].points > tracks[a].points):
+                    _take_over(tracks[a], tracks[b])
+    return into
+
+
+@kernel
+def _vehicle(track: Any) -> bool:
+    """Large enough, and hardly a person on foot or on a bicycle."""
+    people = track.votes[_CYCLIST] + track.votes[_PEDESTRIAN]
+    return people < 0.4 * track.votes.sum()
+
+
+@kernel
+def _goes_with(piece: Any, whole: Any) -> bool:
+    """Of a size that may be one with it, and the same velocity as far as can be told. Pieces change shape, so their
+    velocity is rough; a young track that has not shown movement has none to compare."""
+    if another_size(whole.size, piece.size):
+        return False
+    if not piece.moving and piece.born_ns + _YOUNG_NS > piece.seen_ns:
+        return True
+    speed = math.hypot(whole.mean[3], whole.mean[4]) if whole.moving else 0.0
+    du = piece.mean[3] * piece.moving - whole.mean[3] * whole.moving
+    dv = piece.mean[4] * piece.moving - whole.mean[4] * whole.moving
+    return math.hypot(du, dv) < 1.0 + 0.5 * speed
+
+
+@kernel
+def _shared(first: Any, second: Any) -> float:
+    """Share of the smaller box's footprint that lies in the larger one's, by 5 x 5 points."""
+    small, large = first, second
+    if first.size[0] * first.size[1] > second.size[0] * second.size[1]:
+        small, large = second, first
+    dx, dy = small.mean[0] - large.mean[0], small.mean[1] - large.mean[1]
+    if math.hypot(dx, dy) > 0.5 * (small.size[0] + small.size[1] + large.size[0] + large.size[1]):
+        return 0.0
+    cs, ss, cl, sl = math.cos(small.yaw), math.sin(small.yaw), math.cos(large.yaw), math.sin(large.yaw)
+    most_long, most_wide = _LARGE_M if large.label == _LARGE else _CAR_M
+    half_length, half_width = 0.5 * min(large.size[0], most_long), 0.5 * min(large.size[1], most_wide)
+    inside = 0
+    for i in range(-2, 3):
+        for j in range(-2, 3):
+            u, v = 0.2 * i * small.size[0], 0.2 * j * small.size[1]
+            x, y = dx + cs * u - ss * v, dy + ss * u + cs * v
+            inside += abs(cl * x + sl * y) < half_length and abs(cl * y - sl * x) < half_width
+    return inside / 25.0
+
+
+@kernel
+def _take_over(track: Any, better: Any) -> None:
+    """Identity, age, votes and score stay; place, movement, box and detection are the other one's."""
+    track.mean[:] = better.mean
+    track.cov[:, :] = better.cov
+    track.size[:] = better.size
+    track.yaw, track.wobble = better.yaw, better.wobble
+    track.trail[:, :] = better.trail
+    track.frames, track.run, track.presence, track.fixture = better.frames, better.run, better.presence, better.fixture
+    track.seen_ns, track.points, track.detection = better.seen_ns, better.points, better.detection
+    track.moving = track.moving or better.moving
