@@ -76,7 +76,7 @@ def whereabouts(site: Site, service: str) -> tuple[str, ...]:
         told = [f"sensors.{name}.host={host}" for name, host in sensors.items() if host]
         ego = site.host_of("ego")
         return (*told, *([f"ego_host={ego}"] if ego else []))
-    if service == "dashboard":
+    if service in ("dashboard", "blackbox"):
         return (f"fusion_host={site.host_of('fusion')}",) if site.host_of("fusion") else ()
     return ()
 

@@ -12,7 +12,7 @@ import msgspec
 from msgspec import Meta
 
 from common.config import ConfigError, Section, load
-from common.topics import OPTIONAL_SERVICES, SERVICES, ServiceRow, service_row
+from common.topics import OPTIONAL_SERVICES, SERVICES, SERVICES_OF_ANY_HOST, ServiceRow, service_row
 
 DEFAULT_FILE = Path("site.toml")
 Port = Annotated[int, Meta(ge=1, le=65535)]
@@ -93,7 +93,8 @@ class Site(Section, frozen=True, kw_only=True):
     def rows(self, name: str) -> list[ServiceRow]:
         """The services of a host, in the order of the topics table, each with this host's name."""
         wanted = self.host(name).services
-        return [ServiceRow(row.name, name, row.extra) for row in (*SERVICES, *OPTIONAL_SERVICES) if row.name in wanted]
+        table = (*SERVICES, *OPTIONAL_SERVICES, *SERVICES_OF_ANY_HOST)
+        return [ServiceRow(row.name, name, row.extra) for row in table if row.name in wanted]
 
     def endpoint(self, name: str) -> str:
         """Where another host or a laptop reaches this host's router."""

@@ -73,6 +73,9 @@ SERVICES: tuple[ServiceRow, ...] = (
 # Helpful where there is a source for them, missed by nobody.
 OPTIONAL_SERVICES: tuple[ServiceRow, ...] = (ServiceRow("ego", "jetson0", "jetson"),)
 
+# On as many hosts as site.toml says.
+SERVICES_OF_ANY_HOST: tuple[ServiceRow, ...] = (ServiceRow("blackbox", "jetson0", "record"),)
+
 RADAR_TRACKS = Topic("radar", "tracks", m.RadarTracks, 10.0, 0.5, priority="data_high")
 RADAR_DETECTIONS = Topic("radar", "detections", m.RadarDetections, 10.0, on_demand=True)
 LIDAR_SCAN = Topic("lidar", "scan", m.LaserScan, 10.0)
@@ -115,6 +118,26 @@ RADAR_RAW, LIDAR_RAW, CAMERA_RAW, INFRA_RAW = RAW_TOPICS = tuple(
           priority="data_low", congestion="block_first", max_bytes=32_000_000)
     for service in ("radar", "lidar", "camera", "infra_lidar")
 )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Command:
+    """A question that makes a service do something: asked at ``<host>/<service>/<name>``, answered, never published.
+
+    ``from_afar``: laptops and other hosts may ask it too, otherwise only this host's own sessions.
+    """
+
+    service: str
+    name: str
+    from_afar: bool
+
+
+COMMANDS: tuple[Command, ...] = (
+    Command("infra_lidar", "recalibrate", from_afar=False),  # the sensor sees nothing until it has found the road
+    Command("blackbox", "incidents", from_afar=True),
+    Command("blackbox", "capsule", from_afar=True),
+    Command("blackbox", "save", from_afar=True),  # bounded: one open incident at a time, the oldest goes
+)
 
 # How old a camera picture may be to confirm or to suppress another sensor's alert (bench-stack A20).
 CAMERA_CONFIRM_AGE_S = 0.5
@@ -166,7 +189,8 @@ def find_topic(key: str) -> Topic | None:
 
 def service_row(name: str) -> ServiceRow:
     """Raises ``KeyError`` with the known names when there is no such service."""
-    for row in SERVICES + OPTIONAL_SERVICES:
+    rows = (*SERVICES, *OPTIONAL_SERVICES, *SERVICES_OF_ANY_HOST)
+    for row in rows:
         if row.name == name:
             return row
-    raise KeyError(f"no service {name!r}; known: {', '.join(row.name for row in SERVICES + OPTIONAL_SERVICES)}")
+    raise KeyError(f"no service {name!r}; known: {', '.join(row.name for row in rows)}")

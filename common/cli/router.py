@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import logging
+import os
 import re
 import socket
 import sys
@@ -25,6 +26,9 @@ from common.watchdog import Watchdog
 
 log = logging.getLogger("router")
 HEARTBEAT_S = 1.0
+# Zenoh closes a link that was cut silently from one of its receiving threads, and waits up to 10 s there for what was
+# not acknowledged (SO_LINGER). With the default of two threads, two dead neighbours stop everything on this host.
+RUNTIME = "(rx: (worker_threads: 32))"
 
 
 def router(
@@ -70,6 +74,7 @@ def _of_site(host: str, site_file: Path | None) -> ZenohConfig:
 
 
 def _serve(config: ZenohConfig) -> bool:
+    os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
     for endpoint in config.listen:
         _refuse_taken(endpoint)
     try:

@@ -79,4 +79,4 @@ def sim_sources(rows: list[ServiceRow], scenario: str) -> dict[str, str]:
     """The simulated source of every service that has a sensor; nothing without a scenario."""
     if not scenario:
         return {}
-    return {row.name: f"sim:{scenario}" for row in rows if row.name not in ("fusion", "dashboard")}
+    return {row.name: f"sim:{scenario}" for row in rows if row.name not in ("fusion", "dashboard", "blackbox")}

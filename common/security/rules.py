@@ -7,6 +7,9 @@ Three kinds of neighbours, each with the least it needs; whatever no rule allows
   what this host's services say, so nobody relays for a third;
 - laptops, known by their certificates: may listen and ask.
 
+From afar only the questions of a list may be asked, each by the pattern that is in it: a rule allows what it includes,
+so ``**`` would reach a command that changes something, and is no question of the list.
+
 Rules see the neighbour, not the author: that is why a host's keys begin with its name, and why each host has its own
 certificate.
 """
@@ -18,10 +21,12 @@ from typing import Any
 
 from common.security.names import Names
 from common.site import Site
-from common.topics import DATA_TOPICS
+from common.topics import COMMANDS, DATA_TOPICS, RAW_TOPICS
 
 SPEAK = ["put", "reply", "liveliness_token", "declare_queryable"]
-LISTEN = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"]
+LISTEN = ["declare_subscriber", "liveliness_query", "declare_liveliness_subscriber"]
+ASK = ["query"]
+ANSWERED = ("status", "info", "clock")  # by every service
 SHADOW = "shadow"  # a candidate under comparison speaks below this chunk, heard on its own host only
 
 
@@ -29,10 +34,13 @@ def access_rules(site: Site, host: str, names: Names) -> dict[str, Any]:
     """The ``access_control`` section of the Zenoh configuration of ``host``'s router."""
     everything = [f"{site.namespace}/**"]
     own = spoken_keys(site, host)
+    spoken_here = own + own_commands(site, host) + spoken_keys(site, host, f"{SHADOW}/")
     rules = [
-        _rule("local speaks", SPEAK, own + spoken_keys(site, host, f"{SHADOW}/"), "ingress"),
+        _rule("local speaks", SPEAK, spoken_here, "ingress"),
+        _rule("local asks", ASK, everything, "ingress"),
         _rule("anyone listens", LISTEN, everything, "ingress"),
-        _rule("neighbours are asked", LISTEN, everything, "egress"),
+        _rule("anyone asks", ASK, questions(site), "ingress"),
+        _rule("neighbours are asked", LISTEN + ASK, everything, "egress"),
         _rule("local hears everything", SPEAK, everything, "egress"),
         _rule("hosts hear this host", SPEAK, own, "egress"),
         _rule(
@@ -41,7 +49,9 @@ def access_rules(site: Site, host: str, names: Names) -> dict[str, Any]:
     ]
     subjects: list[dict[str, Any]] = [{"id": "local", "interfaces": ["lo"], "link_protocols": ["tcp"]}]
     policies = [
-        _policy("local", "local speaks", "anyone listens", "neighbours are asked", "local hears everything"),
+        _policy(
+            "local", "local speaks", "local asks", "anyone listens", "neighbours are asked", "local hears everything"
+        ),
     ]
     for name, common_name in names.allowed("host").items():
         if name == host or name not in site.hosts:
@@ -52,11 +62,12 @@ def access_rules(site: Site, host: str, names: Names) -> dict[str, Any]:
             rules.append(_rule(speaks, SPEAK, spoken, "ingress"))
         subjects.append({"id": name, "cert_common_names": [common_name]})
         allowed = [speaks] if spoken else []
-        policies.append(_policy(name, *allowed, "anyone listens", "neighbours are asked", "hosts hear this host"))
+        heard = ("anyone listens", "anyone asks", "neighbours are asked", "hosts hear this host")
+        policies.append(_policy(name, *allowed, *heard))
     laptops = sorted(names.allowed("laptop").values())
     if laptops:
         subjects.append({"id": "laptops", "cert_common_names": laptops})
-        policies.append(_policy("laptops", "anyone listens", "laptops hear the site"))
+        policies.append(_policy("laptops", "anyone listens", "anyone asks", "laptops hear the site"))
     rules = [rule for rule in rules if rule["key_exprs"]]
     known = {rule["id"] for rule in rules}
     for policy in policies:
@@ -71,14 +82,32 @@ def access_rules(site: Site, host: str, names: Names) -> dict[str, Any]:
 
 
 def spoken_keys(site: Site, host: str, prefix: str = "") -> list[str]:
-    """Every key that the services of ``host`` publish, answer or hold a token on, below ``prefix``."""
+    """Every key that the services of ``host`` publish, answer or hold a token on for others, below ``prefix``."""
     base = f"{site.namespace}/{prefix}{host}"
     return [f"{base}/{service}/{last}" for service in site.host(host).services for last in _lasts(service)]
 
 
+def own_commands(site: Site, host: str) -> list[str]:
+    """Commands that only ``host``'s own sessions may give to its services: no other router is told that they exist."""
+    services = site.host(host).services
+    return [
+        f"{site.namespace}/{host}/{command.service}/{command.name}"
+        for command in COMMANDS
+        if not command.from_afar and command.service in services
+    ]
+
+
+def questions(site: Site) -> list[str]:
+    """What may be asked from afar, on whichever host."""
+    asked = [f"*/{last}" for last in ANSWERED]
+    asked += [f"{command.service}/{command.name}" for command in COMMANDS if command.from_afar]
+    return [f"{site.namespace}/*/{question}" for question in asked]
+
+
 def _lasts(service: str) -> Iterable[str]:
-    yield from (topic.product for topic in DATA_TOPICS if topic.service == service)
-    yield from ("status", "info", "clock", "alive/*")
+    yield from (topic.product for topic in (*DATA_TOPICS, *RAW_TOPICS) if topic.service == service)
+    yield from (command.name for command in COMMANDS if command.service == service and command.from_afar)
+    yield from (*ANSWERED, "alive/*")
 
 
 def _rule(name: str, messages: list[str], keys: list[str], flow: str) -> dict[str, Any]:
