@@ -27,16 +27,30 @@ PERIOD_NS = 100_000_000
 Crossing = list[tuple[RadarTracks, tuple[RadarTruth, ...]]]
 
 
+SIZES_M = {"pedestrian": None, "small car": (0.4, 0.2, 0.25), "car": (4.2, 1.8, 1.5), "truck": (8.0, 2.5, 3.0)}
+HALF_M = {"pedestrian": 0.15, "small car": 0.2, "car": 2.1, "truck": 4.0}
+
+
+@pytest.mark.parametrize("side_m", [0.0, 0.8, -0.8])
 @pytest.mark.parametrize(
-    ("kind", "speed_mps", "start_m"), [("pedestrian", 1.4, 6.2), ("pedestrian", 0.7, 4.0), ("car", 4.0, 9.0)]
+    ("body", "speed_mps", "start_m"),
+    [
+        ("pedestrian", 1.4, 6.2),
+        ("pedestrian", 0.7, 4.0),
+        ("pedestrian", 2.0, 6.2),
+        ("small car", 4.0, 9.0),
+        ("small car", 2.0, 8.0),
+        ("car", 4.0, 11.0),
+        ("car", 2.0, 8.0),
+        ("truck", 3.0, 12.0),
+    ],
 )
-def test_an_approaching_body_keeps_one_id_to_arms_length(kind: str, speed_mps: float, start_m: float) -> None:
-    """The simulated walker (trunk, head, swinging limbs) and a small car, straight at the radar to 0.3 m."""
-    size_m = {"pedestrian": None, "car": (0.4, 0.2, 0.25)}[kind]
-    half_m = {"pedestrian": 0.15, "car": 0.2}[kind]
-    near = (0.2 + 0.28 + half_m, 0.0)  # the radar sits at x = 0.2
-    come = Ride(line((start_m, 0.0), near), start_s=2.0, speed_mps=speed_mps, accel_mps2=50.0)
-    back = Ride(line(near, (start_m, 0.0)), start_s=30.0, speed_mps=3.0)
+def test_an_approaching_body_keeps_one_id_to_0_3_m(body: str, speed_mps: float, start_m: float, side_m: float) -> None:
+    """Walkers (trunk, head, swinging limbs) and vehicles of any length, until their nearest side is at 0.28 m."""
+    near = (0.2 + 0.28 + HALF_M[body], 0.0)  # the radar sits at x = 0.2
+    kind, size_m = body.removeprefix("small "), SIZES_M[body]
+    come = Ride(line((start_m, side_m), near), start_s=2.0, speed_mps=speed_mps, accel_mps2=50.0)
+    back = Ride(line(near, (start_m, side_m)), start_s=30.0, speed_mps=3.0)
     scenario = Scenario("approach", 60.0, yard_and_street(), (Player(1, kind, Errand((come, back), 60.0), size_m),))
     pipeline = RadarPipeline(CONFIG)
     nearest = []
@@ -49,7 +63,9 @@ def test_an_approaching_body_keeps_one_id_to_arms_length(kind: str, speed_mps: f
     assert len(tracks) == len(nearest) - first
     assert {track.track_id for track in tracks} == {tracks[0].track_id}
     assert tracks[-1].level == "IMMINENT"
-    assert tracks[-1].range_m < 0.8
+    end_s = (len(nearest) - 1) * 0.1 - come.start_s
+    true_m = np.hypot(start_m - near[0], side_m) - speed_mps * end_s + 0.28
+    assert true_m - 0.1 < tracks[-1].range_m < min(true_m + 0.35, 0.9)
     speeds = [-track.velocity_mps for track in tracks[5:-2]]
     assert np.median(speeds) == pytest.approx(speed_mps, rel=0.2)
 
