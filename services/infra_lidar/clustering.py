@@ -46,6 +46,13 @@ class ClusterPoints:
         """(K,) points per cluster."""
         return np.diff(self.offsets)
 
+    @property
+    def means(self) -> np.ndarray:
+        """(K, 3) float64, the mean of each cluster's points."""
+        if not len(self):
+            return np.zeros((0, 3))
+        return np.asarray(np.add.reduceat(self.points.astype(np.float64), self.offsets[:-1]) / self.counts[:, None])
+
 
 @dataclass(frozen=True)
 class _Points:

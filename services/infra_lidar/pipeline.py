@@ -83,7 +83,7 @@ class InfraLidarPipeline:
 
         # 5. Who is it, and where does it go? In the map frame.
         T_map_level = self._map_from_level(calibration)
-        tracks = self.tracker.update(stamp_ns, _detections(clusters, T_map_level))
+        tracks = self.tracker.update(stamp_ns, self._detections(clusters, found, T_map_level))
         watch.lap("track")
 
         # 6. Learn the fixed scene, as long as it is not known. Then: can the sensor see at all?
@@ -116,6 +116,17 @@ class InfraLidarPipeline:
             boxes=found.box[:, :7], features=features, counts=found.counts, ground_z_m=road_z_m,
         )  # fmt: skip
 
+    def _detections(self, clusters: ClusterSet, found: ClusterPoints, T_map_level: np.ndarray) -> Detections:
+        """All clusters in the map frame: background keeps tracks alive that the forest gave up for a moment."""
+        turn = np.arctan2(T_map_level[1, 0], T_map_level[0, 0])
+        boxes = clusters.boxes.astype(np.float64)
+        centre = found.means if self.config.tracking.boxes == "centroid" else boxes[:, :3]
+        return Detections(
+            position_m=transform_points(T_map_level, centre), size_m=boxes[:, 3:6], yaw_rad=boxes[:, 6] + turn,
+            labels=clusters.labels, confidence=clusters.confidences, points=clusters.counts,
+            probabilities=clusters.probabilities,
+        )  # fmt: skip
+
     def _map_from_level(self, calibration: Calibration) -> np.ndarray:
         """Identity without a surveyed pose: then the map is the road plane at the pole's foot."""
         if not self.config.T_map_sensor:
@@ -141,14 +152,3 @@ def _vanished(known: np.ndarray, cluster_id: np.ndarray, count: int) -> np.ndarr
     """(count,) bool: clusters of which more than a tenth is fixed scene, ``known`` (N,), and not seen any more."""
     total = np.bincount(cluster_id + 1, minlength=count + 1)[1:]
     return np.asarray(np.bincount(cluster_id[known] + 1, minlength=count + 1)[1:] > 0.1 * total)
-
-
-def _detections(clusters: ClusterSet, T_map_level: np.ndarray) -> Detections:
-    """All clusters in the map frame: background keeps tracks alive that the forest gave up for a moment."""
-    turn = np.arctan2(T_map_level[1, 0], T_map_level[0, 0])
-    boxes = clusters.boxes.astype(np.float64)
-    return Detections(
-        position_m=transform_points(T_map_level, boxes[:, :3]), size_m=boxes[:, 3:6], yaw_rad=boxes[:, 6] + turn,
-        labels=clusters.labels, confidence=clusters.confidences, points=clusters.counts,
-        probabilities=clusters.probabilities,
-    )  # fmt: skip

@@ -17,7 +17,8 @@ Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 class TrackingConfig(Section, frozen=True, kw_only=True):
     """Constant-velocity Kalman filters, Hungarian assignment, lifetimes in seconds."""
 
-    boxes: Literal["visible", "full"] = "visible"  # boxes of the visible part (clusters) or of the whole object
+    boxes: Literal["visible", "full", "centroid"] = "visible"  # what is measured: the edges of the visible part, the
+    # centre of whole objects, or the mean of the points (article)
     position_sigma_m: Positive = 0.15  # error of a box edge ("full": of the centre)
     height_sigma_m: Positive = 0.3
     process: Literal["acceleration", "step"] = "acceleration"  # noise by the real time, or so much a frame (article)
@@ -33,6 +34,7 @@ class TrackingConfig(Section, frozen=True, kw_only=True):
     class_weight: NotNegative = 1.0  # of the class term in the cost of a pair
     size_gain: Share = 0.3  # how fast a track's size follows what is seen
     yaw_gain: Share = 0.3
+    found_confidence: Share = 0.0  # a detection below this keeps a track alive, but founds none
     confirm_hits: Annotated[int, Meta(ge=1)] = 3
     confirm_s: NotNegative = 0.15
     tentative_gap_s: NotNegative = 0.15  # a new track dies after this long without a detection
@@ -50,7 +52,7 @@ class TrackingConfig(Section, frozen=True, kw_only=True):
 
 
 ARTICLE_TRACKING = TrackingConfig(
-    boxes="full", position_sigma_m=math.sqrt(0.3), height_sigma_m=math.sqrt(0.3),
+    boxes="centroid", position_sigma_m=math.sqrt(0.3), height_sigma_m=math.sqrt(0.3),
     process="step", step_position_sigma_m=math.sqrt(0.5), step_velocity_sigma_mps=math.sqrt(2.0),
     birth_sigma_m=math.sqrt(0.5), velocity_sigma_mps=math.sqrt(10.0), climb_sigma_mps=math.sqrt(10.0),
     gate=7.81, cost="distance", classes="hard", confirm_hits=2, confirm_s=0.0, tentative_gap_s=0.05, coast_s=0.25,

@@ -22,11 +22,13 @@ _BREAKABLE_M2 = 2.0  # a vehicle may fall apart into pieces; two people who part
 
 @kernel
 def founders(tracks: np.ndarray, detections: np.ndarray, taken: np.ndarray, p: Any) -> np.ndarray:
-    """Indices of the detections that may found a track: nobody ``taken`` them, no background, no piece of a whole."""
+    """Indices of the detections that may found a track: nobody has ``taken`` them, sure enough, no background,
+    no piece of a whole."""
     free = np.ones(len(detections), np.bool_)
     free[taken] = False
     for d in range(len(detections)):
-        free[d] = free[d] and detections[d].label != BACKGROUND
+        may = detections[d].label != BACKGROUND and detections[d].confidence >= p.found_confidence
+        free[d] = free[d] and may
     if p.visible and free.any():
         for t in range(len(tracks)):
             _claim_pieces(tracks[t], detections, free)
