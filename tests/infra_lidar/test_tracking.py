@@ -195,18 +195,6 @@ def test_a_car_seen_from_behind_turns_its_box_along_its_way() -> None:
     assert last.size_m[1] == pytest.approx(1.8, abs=0.1)
 
 
-def test_ids_are_never_used_twice_and_differ_after_a_restart() -> None:
-    places = [detections((5.0 * (i % 7), 0.0)) for i in range(40)]
-    ids = {track.track_id for tracks in run(places) for track in tracks}
-    assert len(ids) == max(ids) - min(ids) + 1
-    later = MultiObjectTracker(TrackingConfig())
-    (track,) = later.update(T0_NS + 5_000_000_000, places[0])
-    assert track.track_id > max(ids)
-    other = MultiObjectTracker(TrackingConfig(first_id=5000))
-    (track,) = other.update(T0_NS, places[0])
-    assert track.track_id not in ids
-
-
 def test_a_step_back_in_time_begins_anew() -> None:
     tracker = MultiObjectTracker(TrackingConfig())
     for i in range(5):

@@ -1,0 +1,100 @@
+"""What a track may say of itself, whatever comes in; and what the end of learning does to it."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as how
+from hypothesis import strategies as st
+
+from services.infra_lidar.config import TrackingConfig
+from services.infra_lidar.tracking import Detections, MultiObjectTracker
+from services.infra_lidar.tracking_config import ARTICLE_TRACKING
+
+T0_NS = 1_790_000_000_000_000_000
+HOUR_NS = 3_600_000_000_000
+
+
+def boxes(*rows: tuple[float, float, float, float, str]) -> Detections:
+    """Rows of x, y, length, width and label."""
+    count = len(rows)
+    table = np.array([row[:4] for row in rows], float).reshape(count, 4)
+    return Detections(
+        np.column_stack((table[:, :2], np.full(count, 0.8))), np.column_stack((table[:, 2:], np.full(count, 1.6))),
+        np.zeros(count), [row[4] for row in rows], np.full(count, 0.9), np.full(count, 50),
+    )  # fmt: skip
+
+
+@how(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 100_000),
+    hits=st.integers(1, 6),
+    confirm_s=st.sampled_from([0.0, 0.15, 0.5]),
+    article=st.booleans(),
+)
+def test_nothing_is_confirmed_before_its_time_and_what_is_not_seen_says_so(
+    seed: int, hits: int, confirm_s: float, article: bool
+) -> None:
+    """Counted from outside: hits by the matches, age by the stamps. Unseen and confirmed = coasting, with no points."""
+    rng = np.random.default_rng(seed)
+    config = ARTICLE_TRACKING if article else TrackingConfig(confirm_hits=hits, confirm_s=confirm_s)
+    tracker, seen, born, stamp = MultiObjectTracker(config), Counter[int](), dict[int, int](), T0_NS
+    for _ in range(25):
+        stamp += int(rng.choice([50_000_000, 100_000_000, 300_000_000]))
+        here = [(8.0 * k + rng.normal(0, 0.1), 0.0, 1.0, 0.6, "cyclist") for k in range(4) if rng.random() < 0.7]
+        tracks = tracker.update(stamp, boxes(*here))
+        seen.update(tracker.matches.keys())
+        for track in tracks:
+            age_s = 1e-9 * (stamp - born.setdefault(track.track_id, stamp))
+            assert track.age_s == pytest.approx(age_s, abs=1e-6)
+            ready = seen[track.track_id] >= config.confirm_hits and age_s >= config.confirm_s - 1e-6
+            assert ready or track.state == "tentative"
+            matched = track.track_id in tracker.matches
+            assert (track.state == "coasting") == (track.state != "tentative" and not matched)
+            assert (track.points > 0) == matched
+
+
+def test_ids_are_unique_on_a_host() -> None:
+    """Of two sensors that began in the same second with their own ``first_id``, and of the same sensor an hour on."""
+    runs = []
+    for first, start_ns in ((0, T0_NS), (5000, T0_NS), (0, T0_NS + HOUR_NS)):
+        tracker, ids = MultiObjectTracker(TrackingConfig(first_id=first)), set()
+        for number in range(60):
+            tracker.update(start_ns + number * 1_000_000_000, boxes((float(40 * (number % 7)), 0.0, 4.0, 1.8, "car")))
+            ids |= tracker.matches.keys()
+        runs.append(ids)
+    assert [len(ids) for ids in runs] == [60, 60, 60]
+    assert len(set.union(*runs)) == 180
+
+
+def test_when_the_scene_has_been_learned_ids_live_on_but_not_what_vanishes() -> None:
+    """A car that goes, one that stands and stays in view, and a wall that is background from now on."""
+    tracker = MultiObjectTracker(TrackingConfig())
+    stamps = [T0_NS + number * 100_000_000 for number in range(30)]
+    for number in range(15):
+        goes, stands, wall = (0.8 * number, 0.0, 4.4, 1.8, "car"), (5.0, 9.0, 4.4, 1.8, "car"), (-9.0, 5.0, 3.0, 1.0)
+        before = tracker.update(stamps[number], boxes(goes, stands, (*wall, "unknown")))
+    tracker.forget(np.array([True, False, True]))
+    after = tracker.messages()
+    assert [track.track_id for track in after] == [track.track_id for track in before][:2]
+    assert [track.state for track in after] == ["confirmed", "confirmed"]
+    for number in range(15, 25):
+        last = tracker.update(stamps[number], boxes((0.8 * number, 0.0, 4.4, 1.8, "car"), (5.0, 9.0, 4.4, 1.8, "car")))
+    assert {track.track_id for track in last} == {track.track_id for track in after}
+    speed = {track.track_id: track.velocity_mps[0] for track in last}
+    assert speed[after[0].track_id] == pytest.approx(8.0, abs=0.3)
+    assert speed[after[1].track_id] == 0.0
+
+
+def test_what_is_left_of_a_learned_hedge_does_not_begin_to_move() -> None:
+    """Its pieces are called background: they keep the track, but as one that stands."""
+    tracker = MultiObjectTracker(TrackingConfig())
+    for number in range(40):
+        label = "unknown" if number < 6 else "background"
+        drift = 0.0 if number < 6 else 0.25 * (number - 6)
+        tracks = tracker.update(T0_NS + number * 100_000_000, boxes((drift, 0.0, 3.0, 1.0, label)))
+        assert [track.velocity_mps for track in tracks] == [(0.0, 0.0, 0.0)] * len(tracks)
+    assert len(tracks) == 1
