@@ -1,7 +1,8 @@
 """Labelled clusters for training: from folders in the article's layout, and from single bodies under generated rays.
 
-A generated cluster is one body of the simulated world, seen by a 128-beam sensor on a pole from a random place, cut at
-random by something in front of it, without its lowest centimetres (the ground step takes them), with range noise.
+A generated cluster is one body of the simulated world, seen from a random place by a sensor on a pole or a vehicle's
+roof, cut at random by something in front of it, without its lowest centimetres (the ground step takes them), with range
+noise. Height and spacing of beams are drawn anew for every body: the forest must not depend on one mounting.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from common.sim.raycast import cast
 from common.sim.solids import BOX, CYLINDER, PARTS, SPHERE, Solids, join, solid
 from services.infra_lidar.classes import CLASSES
 
-POLE_M = 5.5
-_BEAM_STEP_RAD, _AZIMUTH_STEP_RAD = np.radians(0.30), 2 * np.pi / 1800
+POLE_M, ROOF_M, HIGHEST_M = 5.5, 1.6, 7.5
+POLE_SHARE = 0.4  # of the bodies are seen from the usual pole, the others from any height
+_BEAM_STEP_RAD, _AZIMUTH_STEP_RAD = np.radians((0.25, 0.6)), np.radians((0.1, 0.3))
 _KINDS = {"car": ("car",), "large_vehicle": ("bus", "truck"), "cyclist": ("cyclist",), "pedestrian": ("pedestrian",)}
 FOLDER_CLASSES = {name: name for name in CLASSES} | {
     "bicyclist": "cyclist", "bicycle": "cyclist", "bus": "large_vehicle", "truck": "large_vehicle",
@@ -109,24 +111,6 @@ def read_folder(folder: Path, min_points: int = 5) -> LabelledClusters:
     return collect(clusters, ground, labels, groups)
 
 
-def roughened(clusters: LabelledClusters, seed: int, min_points: int = 10) -> LabelledClusters:
-    """The same clusters as another sensor might see them: fewer points, other proportions, a road height that is off.
-
-    Groups stay, so that a cluster and its rough copy never stand on both sides of a split.
-    """
-    rng = np.random.default_rng(seed)
-    rough: list[np.ndarray] = []
-    ground: list[float] = []
-    for k in range(len(clusters)):
-        points = clusters.points[clusters.offsets[k] : clusters.offsets[k + 1]].astype(np.float64)
-        keep = max(min(min_points, len(points)), round(rng.uniform(0.1, 1.0) * len(points)))
-        points = points[np.sort(rng.choice(len(points), keep, replace=False))]
-        foot = np.array([*points[:, :2].mean(axis=0), clusters.ground_z_m[k]])
-        rough.append(foot + (points - foot) * rng.uniform(0.9, 1.1, 3))
-        ground.append(float(clusters.ground_z_m[k] + rng.normal(0.0, 0.06)))
-    return collect(rough, ground, clusters.labels.tolist(), clusters.groups.tolist())
-
-
 def generated_clusters(seed: int, per_class: int, min_points: int = 10, background: int = 1) -> LabelledClusters:
     """``per_class`` clusters of every class and ``background`` times as many of that, seeded; each is its own group."""
     rng = np.random.default_rng(seed)
@@ -187,30 +171,31 @@ def _fixture(rng: np.random.Generator) -> Solids:
 
 
 def _look_at(rng: np.random.Generator, shape: Solids, lift_m: float = 0.0) -> np.ndarray:
-    """(n, 3) points of the body from the pole at (0, 0): placed, cut by an occluder, with noise and dropped rays."""
-    distance, bearing = rng.uniform(6.0, 70.0), rng.uniform(-np.pi, np.pi)
+    """(n, 3) points of the body from a sensor above (0, 0): placed, cut by an occluder, with noise and dropped rays."""
+    sensor = np.array([0.0, 0.0, POLE_M if rng.random() < POLE_SHARE else rng.uniform(ROOF_M, HIGHEST_M)])
+    distance, bearing = rng.uniform(5.0, 70.0), rng.uniform(-np.pi, np.pi)
     place = pose_2d(distance * np.cos(bearing), distance * np.sin(bearing), rng.uniform(-np.pi, np.pi), lift_m)
     shape = shape.placed(place, 0, np.zeros(3))
-    rays = _rays(shape, np.array([0.0, 0.0, POLE_M]))
-    range_m, hit = cast(np.array([0.0, 0.0, POLE_M]), rays, shape)
+    rays = _rays(shape, sensor, rng.uniform(*_BEAM_STEP_RAD), rng.uniform(*_AZIMUTH_STEP_RAD))
+    range_m, hit = cast(sensor, rays, shape)
     seen = np.isfinite(range_m) & (rng.random(len(rays)) > rng.choice([0.0, 0.05, 0.3]))
     leafy = shape.part[hit[seen]] == PARTS.index("leaves")  # leaves are hit somewhere inside
     noisy = range_m[seen] + rng.normal(0.0, 0.02, int(seen.sum())) + leafy * rng.exponential(0.15, int(seen.sum()))
-    points = np.array([0.0, 0.0, POLE_M]) + noisy[:, None] * rays[seen]
+    points = sensor + noisy[:, None] * rays[seen]
     points = points[points[:, 2] > rng.uniform(0.10, 0.25)]
     return _occlude(rng, points).astype(np.float32)
 
 
-def _rays(shape: Solids, origin: np.ndarray) -> np.ndarray:
-    """(N, 3) unit directions of the sensor's grid that may meet the shape."""
+def _rays(shape: Solids, origin: np.ndarray, beam_rad: float, azimuth_rad: float) -> np.ndarray:
+    """(N, 3) unit directions of a sensor's grid, so wide between beams and between columns, that may meet the shape."""
     centre, reach = shape.centre_m - origin, shape.radius_m
     flat = np.hypot(centre[:, 0], centre[:, 1])
     azimuth, elevation = np.arctan2(centre[:, 1], centre[:, 0]), np.arctan2(centre[:, 2], flat)
     middle = azimuth[0]
     turn = (azimuth - middle + np.pi) % (2 * np.pi) - np.pi
     half = np.arcsin(np.minimum(reach / np.maximum(flat, reach + 0.1), 1.0))
-    grid_a = np.arange((turn - half).min(), (turn + half).max(), _AZIMUTH_STEP_RAD) + middle
-    grid_e = np.arange((elevation - half).min(), (elevation + half).max(), _BEAM_STEP_RAD)
+    grid_a = np.arange((turn - half).min(), (turn + half).max(), azimuth_rad) + middle
+    grid_e = np.arange((elevation - half).min(), (elevation + half).max(), beam_rad)
     a, e = (grid.ravel() for grid in np.meshgrid(grid_a, grid_e))
     return np.column_stack((np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)))
 

@@ -16,7 +16,7 @@ from services.infra_lidar.training_clusters import (
 )
 from services.infra_lidar.training_scenes import scene_clusters
 
-_BACKGROUND = 5  # generated fixtures per body of any class: the street has more kinds of things than of road users
+_BACKGROUND = 2  # generated fixtures per body of any class: the street has more kinds of things than of road users
 
 
 def training_set(folder: Path | None, scenes: int, bodies: int, seed: int) -> tuple[LabelledClusters, dict[str, Any]]:
