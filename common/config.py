@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 import msgspec
 
 C = TypeVar("C", bound=msgspec.Struct)
+SECRETS = ("token", "password", "private_key")  # keys whose values are nobody else's business
 
 
 class ConfigError(ValueError):
@@ -83,6 +84,18 @@ def config_hash(config: msgspec.Struct) -> str:
     """Twelve hex digits that identify an effective configuration."""
     canonical = msgspec.json.encode(msgspec.to_builtins(config), order="sorted")
     return hashlib.sha256(canonical).hexdigest()[:12]
+
+
+def public(config: msgspec.Struct) -> dict[str, Any]:
+    """The effective configuration as a plain mapping, without how the bus is reached and without secrets."""
+    document = typing.cast(dict[str, Any], msgspec.to_builtins(config))
+    return {key: _without_secrets(value) for key, value in document.items() if key != "zenoh"}
+
+
+def _without_secrets(value: Any) -> Any:
+    if not isinstance(value, dict):
+        return value
+    return {key: "" if key in SECRETS else _without_secrets(inner) for key, inner in value.items()}
 
 
 def default_text(config_type: type[C]) -> dict[str, Any]:

@@ -387,6 +387,7 @@ class ServiceInfo(Message, kw_only=True):
     started_ns: Count
     pid: Count
     source: Text = ""
+    config: dict[Name, object] = {}  # the effective configuration, without secrets
 
 
 class ClockReply(Message, kw_only=True):

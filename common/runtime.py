@@ -29,7 +29,7 @@ import zenoh
 from common import topics
 from common.clock import monotonic_s, utc_ns
 from common.codec import encode, encoding_of
-from common.config import ServiceConfig, config_hash
+from common.config import ServiceConfig, config_hash, public
 from common.handover import Handover
 from common.messages import ClockReply, Message, ServiceInfo, ServiceStatus
 from common.presence import AFTER, Presence, claimants, successor
@@ -199,6 +199,7 @@ class Service:
             started_ns=self._started_ns,
             pid=os.getpid(),
             source=self._config.source,
+            config=public(self._config),
         )
 
     def _clock(self, query: zenoh.Query) -> ClockReply:

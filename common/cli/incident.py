@@ -13,6 +13,7 @@ import zenoh
 
 from common.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespace, bus
 from common.cli.fail import fail
+from common.cli.progress import Progress
 
 QUERY_TIMEOUT_S = 3.0
 
@@ -40,6 +41,7 @@ def save(
     why: Annotated[str, typer.Argument(help="A few words for whoever opens it.")] = "asked for",
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "spotter",
+    as_json: AsJson = False,
 ) -> None:
     """Save the last seconds of every host now."""
     selector = zenoh.Selector("*/blackbox/save", zenoh.Parameters({"why": why, "at_ns": str(time.time_ns())}))
@@ -48,7 +50,8 @@ def save(
     if not answers:
         fail("no blackbox answers; is spotter-blackbox running?")
     for answer in answers:
-        print(f"{answer.key_expr}: {json.loads(answer.payload.to_bytes())['incident']}")
+        host, incident = str(answer.key_expr).partition("/")[0], json.loads(answer.payload.to_bytes())["incident"]
+        print(json.dumps({"host": host, "incident": incident}) if as_json else f"{host}: {incident}")
 
 
 @app.command("open")
@@ -58,6 +61,7 @@ def open_incident(
     fusion_host: Annotated[str, typer.Option(help="The host whose clock the merged file is on.")] = "jetson0",
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "spotter",
+    as_json: AsJson = False,
 ) -> None:
     """Fetch the capsules of all hosts and merge them into one file on one clock."""
     from services.blackbox.capsule import merge
@@ -74,6 +78,9 @@ def open_incident(
             fail(f"no host has {name}; see `spotter incident list`")
         capsules = {host: _fetch(session, host, name, Path(folder)) for host in hosts}
         clocks = merge(capsules, fusion_host, target)
+    if as_json:
+        print(json.dumps({"file": str(target), "clocks": {host: vars(clock) for host, clock in clocks.items()}}))
+        return
     for host, clock in sorted(clocks.items()):
         if clock.offset_s is None or clock.bound_s is None:
             print(f"{host}: clock offset not known, stamps as they are")
@@ -83,11 +90,14 @@ def open_incident(
 
 
 @app.command()
-def verify(file: Annotated[Path, typer.Argument(help="A merged incident or any recording with fusion/trace.")]) -> None:
+def verify(
+    file: Annotated[Path, typer.Argument(help="A merged incident or any recording with fusion/trace.")],
+    as_json: AsJson = False,
+) -> None:
     """Decide every verdict again from what was recorded; the same as `spotter replay --verify`."""
     from common.cli.verify import verify_recording
 
-    verify_recording([file])
+    verify_recording([file], as_json)
 
 
 def _hosts_by_incident(session: zenoh.Session) -> dict[str, list[str]]:
@@ -106,12 +116,14 @@ def _fetch(session: zenoh.Session, host: str, name: str, folder: Path) -> Path:
     """A host's capsule, part by part."""
     from services.blackbox.server import PART_BYTES
 
-    path = folder / f"{host}.mcap"
+    path, progress = folder / f"{host}.mcap", Progress()
     with path.open("wb") as stream:
         for part in range(100_000):
             data = _part(session, host, name, part)
             stream.write(data)
+            progress.tell(f"{host}: {stream.tell() / 1e6:.0f} MB")
             if len(data) < PART_BYTES:
+                progress.close()
                 return path
     fail(f"{host}: the capsule of {name} does not end")
 

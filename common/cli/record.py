@@ -101,24 +101,10 @@ def _raw(services: list[str]) -> list[topics.Topic]:
 
 def _metadata(session: Any, namespace: str) -> dict[str, dict[str, str]]:
     """Which services, versions and configurations the recording is of."""
-    from common.codec import DecodeError, decode
-    from common.messages import ServiceInfo
+    from common.recording.services import who_speaks
 
-    metadata = {"spotter": {"version": importlib.metadata.version("spotter"), "namespace": namespace}}
-    for reply in session.get("*/*/info", timeout=1.0):
-        if reply.ok is None:
-            continue
-        try:
-            info = decode(reply.ok.payload.to_bytes(), ServiceInfo)
-        except DecodeError:
-            continue
-        metadata[f"{info.host}/{info.service}"] = {
-            "version": info.version,
-            "config_hash": info.config_hash,
-            "instance": info.instance,
-            "source": info.source,
-        }
-    return metadata
+    about = {"version": importlib.metadata.version("spotter"), "namespace": namespace}
+    return {"spotter": about, **who_speaks(session)}
 
 
 def _foxglove_is_here() -> bool:

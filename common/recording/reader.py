@@ -113,6 +113,21 @@ def span_ns(path: Path) -> tuple[int, int]:
     return (statistics.message_start_time, statistics.message_end_time) if statistics else (0, 0)
 
 
+def read_metadata(path: Path) -> dict[str, dict[str, str]]:
+    """The metadata records of a complete file; of one without its index none.
+
+    Raises:
+        RecordingError: not an MCAP file, or damaged.
+    """
+    if not is_complete(path):
+        return {}
+    try:
+        with path.open("rb") as stream:
+            return {one.name: dict(one.metadata) for one in make_reader(stream, validate_crcs=True).iter_metadata()}
+    except DAMAGE as error:
+        raise RecordingError(f"{path}: damaged: {error}") from None
+
+
 def _index(path: Path) -> McapSummary | None:
     if not is_complete(path):
         return None

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from common import topics
 from common.codec import decode, encode, to_builtins
 from common.config import ConfigError, load
 from common.messages import Message
+from common.raw import with_changes
 from common.recording.raw import pieces
-from common.recording.reader import files_in, read
+from common.recording.reader import files_in, read, read_metadata
 from common.source_url import SourceUrl
 from common.status import Report
 from common.topics import Topic
@@ -59,9 +63,20 @@ def verify_service(service: str, path: Path, config: Path | None = None) -> Outc
     one = SERVICES[service]
     _whole(SourceUrl("mcap", str(path)), one.raw)
     config_type: Any = getattr(import_module(f"{one.package}.config"), one.config)
-    effective = load(config_type, config, [f'source="mcap:{path}?rate=0"'])
+    source = f"mcap:{path}?rate=0"
+    chosen = load(config_type, config) if config else _recorded_config(path, one, config_type)
+    effective = msgspec.structs.replace(chosen, source=source)
     again = import_module(f"{one.package}.reprocess").reprocess(effective, Report("reprocess"))
     return compare(_recorded(path, one.result), again)
+
+
+def _recorded_config(path: Path, one: Reprocessed, config_type: Any) -> Any:
+    """The configuration that the service ran with, from the recording's metadata; the defaults where it has none."""
+    for file in files_in(path):
+        for name, values in read_metadata(file).items():
+            if name.partition("/")[2] == one.raw.service and "config" in values:
+                return with_changes(config_type(), json.loads(values["config"]))
+    return config_type()
 
 
 def compare(recorded: Iterable[Message], again: Iterable[Message]) -> Outcome:

@@ -11,8 +11,10 @@ from pathlib import Path
 from common.clock import utc_ns
 from common.config import config_hash
 from common.launch import service_app
+from common.recording.services import who_speaks
 from common.runtime import Service
 from services.blackbox.capsule import keep_newest, write_capsule
+from services.blackbox.clock import FusionClock
 from services.blackbox.config import BlackboxConfig
 from services.blackbox.pipeline import BlackboxPipeline
 from services.blackbox.server import CapsuleServer
@@ -23,9 +25,9 @@ log = logging.getLogger("blackbox")
 
 def run(config: BlackboxConfig) -> bool:
     pipeline, folder = BlackboxPipeline(config), Path(config.folder)
-    about = {"version": importlib.metadata.version("spotter"), "config_hash": config_hash(config)}
+    about = {"spotter": {"version": importlib.metadata.version("spotter"), "config_hash": config_hash(config)}}
     with Service("blackbox", config) as service:
-        server = CapsuleServer(service, folder)
+        server, clock = CapsuleServer(service, folder), FusionClock(service, config.fusion_host)
         service.report.state("online")
         for kept in BusTap(service, config):
             now_ns = utc_ns()
@@ -33,7 +35,8 @@ def run(config: BlackboxConfig) -> bool:
                 pipeline.save(now_ns, server.wishes.get_nowait())
             saved = pipeline.process(now_ns, kept)
             if saved is not None:
-                path = write_capsule(folder, config.host, saved.incident, saved.kept, about)
+                spoke = about | who_speaks(service.session, config.host)
+                path = write_capsule(folder, config.host, saved.incident, saved.kept, spoke, clock.now())
                 keep_newest(folder, config.keep_incidents)
                 service.report.count("incidents")
                 log.info("%s: %s", path, saved.incident.why)

@@ -145,7 +145,9 @@ def test_capsules_of_three_hosts_line_up_on_fusions_clock(tmp_path: Path) -> Non
         ]
         shared = [Kept(VERDICT_KEY, encode(verdict("IMMINENT")), T0 + offset_ns)]
         own_health = [Kept(HEALTH_KEY, encode(health("online", clocks=clocks)), T0 + 1)] if host == "jetson0" else []
-        capsules[host] = write_capsule(tmp_path / host, host, incident, [*shared, *own_health, *kept], {"version": "x"})
+        capsules[host] = write_capsule(
+            tmp_path / host, host, incident, [*shared, *own_health, *kept], {"spotter": {"version": "x"}}
+        )
     merged = tmp_path / "merged.mcap"
     applied = merge(capsules, "jetson0", merged)
     assert (applied["pi0"].offset_s, applied["pi0"].bound_s) == (0.08, 0.002)

@@ -1,0 +1,32 @@
+"""Who speaks on the bus, with which version and configuration: metadata of recordings and capsules."""
+
+from __future__ import annotations
+
+import json
+
+import zenoh
+
+from common.codec import DecodeError, decode
+from common.messages import ServiceInfo
+
+ANSWER_LIMIT_S = 1.0
+
+
+def who_speaks(session: zenoh.Session, host: str = "*") -> dict[str, dict[str, str]]:
+    """``{"<host>/<service>": {version, config_hash, instance, source, config}}``; the configuration is JSON text."""
+    metadata = {}
+    for reply in session.get(f"{host}/*/info", timeout=ANSWER_LIMIT_S):
+        if reply.ok is None:
+            continue
+        try:
+            info = decode(reply.ok.payload.to_bytes(), ServiceInfo)
+        except DecodeError:
+            continue
+        metadata[f"{info.host}/{info.service}"] = {
+            "version": info.version,
+            "config_hash": info.config_hash,
+            "instance": info.instance,
+            "source": info.source,
+            "config": json.dumps(info.config, sort_keys=True),
+        }
+    return metadata
