@@ -9,7 +9,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,10 @@ import pytest
 from common import topics
 from common.config import ServiceConfig, ZenohConfig
 from common.messages import ClockHealth, SensorHealth, SystemHealth, Verdict, VerdictInput
+from common.recording.presence import RecorderPresence
+from common.recording.recorder import RecorderStatus
 from common.runtime import Service
+from common.session import open_session
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 
@@ -168,6 +171,21 @@ def test_a_degraded_sensor_shows_since_when_and_why(browser: Any, fusion: Fusion
     browser.wait(
         "document.querySelector('#clocks tr') && document.querySelector('#clocks tr').innerText.includes('+1.20 ms')"
     )
+
+
+def test_a_running_recorder_is_shown_with_its_file_until_it_ends(
+    browser: Any, fusion: Fusion, url: str, module_router: str
+) -> None:
+    browser.open(url)
+    browser.wait(f"{text_of('recording')}.includes('no recorder')")
+    with open_session(ZenohConfig(connect=(module_router,))) as session:
+        presence = RecorderPresence(session, "laptop1")
+        status = RecorderStatus(messages=1200, bytes=34_000_000, dropped=0, free_bytes=70 * 10**9, file="x/drive.mcap")
+        presence.tell(status)
+        browser.wait(f"{text_of('recording')}.includes('Recording on laptop1: drive.mcap: 1200 messages, 34.0 MB')")
+        presence.tell(replace(status, dropped=3))
+        browser.wait(f"{text_of('recording')}.includes('3 dropped')")
+    browser.wait(f"{text_of('recording')}.includes('no recorder')")
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])

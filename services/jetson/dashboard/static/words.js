@@ -94,14 +94,18 @@ export function drawServices(entries, extraMs) {
   }));
 }
 
-// What is kept of what happens: the blackboxes, by their own status.
+// What is kept of what happens: recorders and blackboxes, by their own status.
 export function drawRecording(entries, extraMs) {
-  const boxes = Object.entries(entries).filter(([key, entry]) => key.endsWith("/blackbox/status") && entry.age_ms + extraMs < 3500);
-  const words = boxes.map(([key, { message }]) => {
-    const kept = message.counters.incidents ?? 0;
-    return `${key.split("/")[0]} (${kept} incident${kept === 1 ? "" : "s"} since its start)`;
+  const running = (service) => Object.entries(entries)
+    .filter(([key, entry]) => key.endsWith(`/${service}/status`) && entry.age_ms + extraMs < 3500)
+    .map(([key, { message }]) => [key.split("/")[0], message]);
+  const recorders = running("recorder").map(([host, { reason }]) => `● Recording on ${host}: ${reason}`);
+  const boxes = running("blackbox").map(([host, { counters }]) => {
+    const kept = counters.incidents ?? 0;
+    return `${host} (${kept} incident${kept === 1 ? "" : "s"} since its start)`;
   });
-  setText(byId("recording"), words.length ? `Blackbox on ${words.join(", ")}` : "Nothing is kept: no blackbox runs");
+  const kept = boxes.length ? `Blackbox on ${boxes.join(", ")}` : "No blackbox runs";
+  setText(byId("recording"), recorders.length || boxes.length ? [...recorders, kept].join(" · ") : "Nothing is recorded: no recorder and no blackbox runs");
 }
 
 export function drawLatency(health, verdict) {
