@@ -60,19 +60,41 @@ def absorb_doubles(tracks: np.ndarray) -> np.ndarray:
     """(N,) int64: -1, or the index of the track that this one is given up for. Two vehicles cannot be in one place:
     where two tracks that go the same way share much of the smaller one's box, the older one lives on, with the box and
     the filter of whichever has more points."""
-    into = np.full(len(tracks), -1, np.int64)
-    for a in range(len(tracks)):
-        if not (tracks[a].confirmed and _vehicle(tracks[a])):
-            continue
-        for b in range(len(tracks)):
-            older = tracks[a].track_id < tracks[b].track_id or not tracks[b].confirmed
-            if a == b or into[a] >= 0 or into[b] >= 0 or not older or not _vehicle(tracks[b]):
+    count = len(tracks)
+    into, x, reach = np.full(count, -1, np.int64), np.empty(count), np.empty(count)
+    for t in range(count):
+        x[t], reach[t] = tracks[t].mean[0], 0.5 * (tracks[t].size[0] + tracks[t].size[1])
+    order = np.argsort(x)
+    farthest = reach.max() if count else 0.0
+    for i in range(count):
+        one = order[i]
+        for j in range(i + 1, count):
+            other = order[j]
+            if x[other] - x[one] > reach[one] + farthest:
+                break
+            if abs(tracks[other].mean[1] - tracks[one].mean[1]) > reach[one] + reach[other]:
                 continue
-            if _goes_with(tracks[b], tracks[a]) and _shared(tracks[a], tracks[b]) > _DOUBLE_SHARE:
-                into[b] = a
-                if tracks[b].detection >= 0 and (tracks[a].detection < 0 or tracks[b].points > tracks[a].points):
-                    _take_over(tracks[a], tracks[b])
+            if into[one] < 0 and into[other] < 0:
+                _absorb(tracks, one, other, into)
     return into
+
+
+@kernel
+def _absorb(tracks: np.ndarray, one: int, other: int, into: np.ndarray) -> None:
+    """The confirmed one lives on; of two confirmed ones the older one."""
+    a, b = one, other
+    if tracks[a].confirmed == tracks[b].confirmed:
+        if tracks[b].track_id < tracks[a].track_id:
+            a, b = other, one
+    elif tracks[b].confirmed:
+        a, b = other, one
+    keeper, double = tracks[a], tracks[b]
+    if not (keeper.confirmed and _vehicle(keeper) and _vehicle(double) and _goes_with(double, keeper)):
+        return
+    if _shared(keeper, double) > _DOUBLE_SHARE:
+        into[b] = a
+        if double.detection >= 0 and (keeper.detection < 0 or double.points > keeper.points):
+            _take_over(keeper, double)
 
 
 @kernel
