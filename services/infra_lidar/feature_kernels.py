@@ -1,8 +1,9 @@
 """The compiled pass behind ``features.py``: moments, extents, height ranks, slices and the bird's-eye hull.
 
 One cluster at a time is copied into planar scratch arrays relative to its first point (float32 stays exact to
-micrometres inside a cluster), then a handful of short loops run over it. Ranks come from a counting sort over 256
-height bins followed by a selection inside the one bin that holds the rank: exact, and linear in the points.
+micrometres inside a cluster), then a handful of short loops run over it, most of them vectorised. Ranks come from the
+counts of 256 height bins, followed by a selection inside the one bin that holds the rank: exact, and linear in the
+points.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import math
 
 import numpy as np
 from numba import njit
+
+from services.infra_lidar.extremes import chosen_extent, low_high
 
 SLICES = 5
 RANKS = (0.05, 0.10, 0.25, 0.50, 0.75, 0.95)
@@ -31,38 +34,49 @@ _BINS = 256
 _EPS = 1e-9
 
 _jit = njit(nogil=True, cache=True, error_model="numpy")
-_fast = njit(nogil=True, cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+_fast = njit(nogil=True, cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "nnan"})
 
 
-def geometry_features(points: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray) -> np.ndarray:
-    """(K, len(ALL_NAMES)) float32; the last four columns are filled elsewhere (1 for the hull ratio, else 0)."""
+def geometry_features(
+    planar: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, with_hull: bool = True
+) -> np.ndarray:
+    """(K, len(ALL_NAMES)) float32 of the points ``planar`` (3, M) float32.
+
+    The last four columns are filled elsewhere (1 for the hull ratio, else 0); ``hull_fill`` is 0 without ``with_hull``.
+    """
     out = np.zeros((len(offsets) - 1, _WIDTH), np.float32)
     largest = int(np.diff(offsets).max(initial=1))
-    _all_clusters(points, offsets, ground_z_m, np.empty((6, largest), np.float32), out)
+    scratch, bins = np.empty((6, largest), np.float32), np.empty(largest, np.uint8)
+    _all_clusters(planar, offsets, ground_z_m, scratch, bins, with_hull, out)
     return out
 
 
 @_jit
 def _all_clusters(
-    points: np.ndarray, offsets: np.ndarray, ground: np.ndarray, scratch: np.ndarray, out: np.ndarray
-) -> None:
+    planar: np.ndarray, offsets: np.ndarray, ground: np.ndarray, scratch: np.ndarray, bins: np.ndarray,
+    with_hull: bool, out: np.ndarray,
+) -> None:  # fmt: skip
     for k in range(len(offsets) - 1):
-        n = offsets[k + 1] - offsets[k]
-        chunk = points[offsets[k] : offsets[k + 1]]
+        first, last = offsets[k], offsets[k + 1]
+        n = last - first
+        x0, y0, z0 = planar[0, first], planar[1, first], planar[2, first]
         x, y, z = scratch[0, :n], scratch[1, :n], scratch[2, :n]
-        u, v, order = scratch[3, :n], scratch[4, :n], scratch[5, :n]
-        x0, y0, z0 = chunk[0, 0], chunk[0, 1], chunk[0, 2]
-        for i in range(n):
-            x[i] = chunk[i, 0] - x0
-            y[i] = chunk[i, 1] - y0
-            z[i] = chunk[i, 2] - z0
-        _one_cluster(x, y, z, u, v, order, x0, y0, z0 - ground[k], out[k])
+        for axis in range(3):
+            _shifted(planar[axis, first:last], planar[axis, first], scratch[axis, :n])
+        u, v, work = scratch[3, :n], scratch[4, :n], scratch[5, :n]
+        _one_cluster(x, y, z, u, v, work, bins[:n], x0, y0, z0 - ground[k], with_hull, out[k])
+
+
+@_fast
+def _shifted(a: np.ndarray, origin: float, out: np.ndarray) -> None:
+    for i in range(len(a)):
+        out[i] = a[i] - origin
 
 
 @_jit
 def _one_cluster(
-    x: np.ndarray, y: np.ndarray, z: np.ndarray, u: np.ndarray, v: np.ndarray, order: np.ndarray,
-    x0: float, y0: float, base: float, row: np.ndarray,
+    x: np.ndarray, y: np.ndarray, z: np.ndarray, u: np.ndarray, v: np.ndarray, work: np.ndarray, bins: np.ndarray,
+    x0: float, y0: float, base: float, with_hull: bool, row: np.ndarray,
 ) -> None:  # fmt: skip
     n = len(x)
     mx, my, mz = _mean(x), _mean(y), _mean(z)
@@ -70,9 +84,9 @@ def _one_cluster(
     cxy, cxz, cyz = _moment(x, y, mx, my), _moment(x, z, mx, mz), _moment(y, z, my, mz)
     cos, sin, ratio = _axes(cxx, cxy, cyy)
     _rotate(x, y, cos, sin, u, v)
-    z_low, z_high = _low_high(z)
-    u_low, u_high = _low_high(u)
-    v_low, v_high = _low_high(v)
+    z_low, z_high = low_high(z)
+    u_low, u_high = low_high(u)
+    v_low, v_high = low_high(v)
     length, width, tall = u_high - u_low, v_high - v_low, z_high - z_low
     spread, area = math.sqrt(length * length + width * width), length * width
     row[0], row[1], row[2], row[3] = n, spread, area, tall
@@ -81,12 +95,12 @@ def _one_cluster(
     row[5] = n / solid if solid > 1e-6 else 0.0
     row[8], row[9] = math.sqrt(czz), ratio
     _eigen_columns(cxx, cyy, czz, cxy, cxz, cyz, row)
-    _rank_columns(z, z_low, tall, base, order, row)
-    _slice_columns(u, v, z, z_low, tall, row)
+    _rank_columns(z, z_low, tall, base, work, bins, row)
+    _slice_columns(u, v, z, z_low, tall, bins, row)
     row[21], row[22], row[23] = length, width, area * tall
     row[31], row[32] = base + z_low, base + z_high
-    hull = _hull_area(u, v, u_low, length, order)
-    row[33] = hull / area if area > 1e-6 else 0.0
+    if with_hull and area > 1e-6:
+        row[33] = _hull_area(u, v, u_low, length) / area
     row[34] = math.hypot(x0 + mx, y0 + my)
     row[35] = math.log(n) + 2.0 * math.log(max(row[34], 1.0))
     row[_WIDTH - 1] = 1.0
@@ -115,16 +129,6 @@ def _rotate(x: np.ndarray, y: np.ndarray, cos: float, sin: float, u: np.ndarray,
         u[i] = c * x[i] + s * y[i]
     for i in range(len(x)):
         v[i] = c * y[i] - s * x[i]
-
-
-@_fast
-def _low_high(a: np.ndarray) -> tuple[float, float]:
-    low, high = a[0], a[0]
-    for i in range(len(a)):
-        low = a[i] if a[i] < low else low
-    for i in range(len(a)):
-        high = a[i] if a[i] > high else high
-    return float(low), float(high)
 
 
 @_jit
@@ -156,29 +160,44 @@ def _eigen_columns(cxx: float, cyy: float, czz: float, cxy: float, cxz: float, c
     row[25], row[26], row[27] = small / total, middle / total, large / total
 
 
+@_fast
+def _binned(z: np.ndarray, low: float, scale: float, last: int, bins: np.ndarray) -> None:
+    """bins (n,) uint8: (z - low) * scale, at most ``last``."""
+    low32, scale32, top = np.float32(low), np.float32(scale), np.int32(last)
+    for i in range(len(z)):
+        bins[i] = np.uint8(min(np.int32((z[i] - low32) * scale32), top))
+
+
 @_jit
-def _rank_columns(z: np.ndarray, low: float, tall: float, base: float, order: np.ndarray, row: np.ndarray) -> None:
+def _rank_columns(
+    z: np.ndarray, low: float, tall: float, base: float, work: np.ndarray, bins: np.ndarray, row: np.ndarray
+) -> None:
     """Height percentiles, the rank below (no interpolation), relative to the ground."""
     n = len(z)
+    _binned(z, low, (_BINS - 1) / tall if tall > 1e-6 else 0.0, _BINS - 1, bins)
     start = np.zeros(_BINS + 1, np.int32)
-    scale = np.float32((_BINS - 1) / tall) if tall > 1e-6 else np.float32(0.0)
-    low32 = np.float32(low)
     for i in range(n):
-        start[int((z[i] - low32) * scale) + 1] += 1
+        start[np.uint32(bins[i]) + np.uint32(1)] += 1
     for b in range(_BINS):
         start[b + 1] += start[b]
-    slot = start[:_BINS].copy()
+    slot = np.full(_BINS, -1, np.int32)  # where the next height of a bin goes, -1: holds no rank
+    b = 0
+    for j in range(6):
+        while start[b + 1] <= int(RANKS[j] * (n - 1)):
+            b += 1
+        slot[b] = start[b]
     for i in range(n):
-        b = int((z[i] - low32) * scale)
-        order[slot[b]] = z[i]
-        slot[b] += 1
+        at = slot[bins[i]]
+        if at >= 0:  # a few in a hundred
+            work[at] = z[i]
+            slot[bins[i]] = at + 1
     ranks = np.empty(6, np.float32)
     b = 0
     for j in range(6):
         k = int(RANKS[j] * (n - 1))
         while start[b + 1] <= k:
             b += 1
-        segment = order[start[b] : start[b + 1]]
+        segment = work[start[b] : start[b + 1]]
         segment.sort()
         ranks[j] = segment[k - start[b]]
     row[6], row[24], row[7] = base + ranks[2], base + ranks[3], base + ranks[4]
@@ -187,27 +206,21 @@ def _rank_columns(z: np.ndarray, low: float, tall: float, base: float, order: np
 
 
 @_jit
-def _slice_columns(u: np.ndarray, v: np.ndarray, z: np.ndarray, low: float, tall: float, row: np.ndarray) -> None:
+def _slice_columns(
+    u: np.ndarray, v: np.ndarray, z: np.ndarray, low: float, tall: float, slices: np.ndarray, row: np.ndarray
+) -> None:
     """Five equal height slices: share of points, extent along both axes, spread of the diagonals."""
-    n = len(z)
-    count = np.zeros(SLICES + 1, np.int64)
-    box = np.empty((4, SLICES + 1), np.float32)
-    box[:2], box[2:] = np.float32(1e9), np.float32(-1e9)
-    scale, low32 = np.float32(SLICES / tall) if tall > 1e-6 else np.float32(0.0), np.float32(low)
-    high32 = np.float32(low + tall)
-    for i in range(n):
-        # The topmost point goes into a slice of its own, which is left out, as in the article.
-        s = SLICES if z[i] >= high32 else min(int((z[i] - low32) * scale), SLICES - 1)
-        count[s] += 1
-        box[0, s] = min(box[0, s], u[i])
-        box[1, s] = min(box[1, s], v[i])
-        box[2, s] = max(box[2, s], u[i])
-        box[3, s] = max(box[3, s], v[i])
+    n, high = len(z), np.float32(low + tall)
+    _binned(z, low, SLICES / tall if tall > 1e-6 else 0.0, SLICES - 1, slices)
+    for i in range(n):  # the topmost point goes into a slice of its own, which is left out, as in the article
+        slices[i] = np.uint8(SLICES) if z[i] >= high else slices[i]
     mean = square = share_mean = share_square = 0.0
     for s in range(SLICES):
-        row[13 + s] = count[s] / n
-        if count[s] > 2:
-            row[36 + s], row[41 + s] = box[2, s] - box[0, s], box[3, s] - box[1, s]
+        count, length = chosen_extent(u, slices, s)
+        _, width = chosen_extent(v, slices, s)
+        row[13 + s] = count / n
+        if count > 2:
+            row[36 + s], row[41 + s] = length, width
         diagonal = math.hypot(row[36 + s], row[41 + s])
         mean, square = mean + diagonal / SLICES, square + diagonal * diagonal / SLICES
         share_mean += row[13 + s] / SLICES
@@ -219,7 +232,7 @@ def _slice_columns(u: np.ndarray, v: np.ndarray, z: np.ndarray, low: float, tall
 
 
 @_jit
-def _hull_area(u: np.ndarray, v: np.ndarray, u_low: float, length: float, order: np.ndarray) -> float:
+def _hull_area(u: np.ndarray, v: np.ndarray, u_low: float, length: float) -> float:
     """Area of the bird's-eye convex hull, from the lowest and highest v in 64 columns along the length.
 
     A hull needs only the extreme points of every column (Bentley, Faust, Preparata 1982): one linear pass, then a

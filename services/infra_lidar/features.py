@@ -53,6 +53,7 @@ FEATURE_SETS: dict[str, tuple[str, ...]] = {
 """By name. ``spotter`` is the default; ``shape`` is the same without what needs the distance to the sensor, for
 clusters that were centred when they were stored."""
 
+_INDEX = {name: column for column, name in enumerate(ALL_NAMES)}
 _PIECE_NAMES = ("n_components", "largest_component_ratio")
 
 
@@ -63,6 +64,7 @@ def compute_features(
 
     Args:
         points: (M, 3) float32, metres, in the levelled frame with the sensor above (0, 0); grouped by cluster.
+            Kept planar, as the transpose of a (3, M) array, they are not copied.
         offsets: (K + 1,) int64, cluster k is ``points[offsets[k]:offsets[k + 1]]``.
         ground_z_m: (K,) height of the local ground under each cluster, metres, in the frame of ``points``.
         names: which features, in which order (see ``FEATURE_SETS``).
@@ -73,20 +75,20 @@ def compute_features(
     Raises:
         ValueError: an unknown name, an empty cluster, or shapes that do not belong together.
     """
-    points, offsets = np.ascontiguousarray(points, np.float32), np.ascontiguousarray(offsets, np.int64)
+    offsets = np.ascontiguousarray(offsets, np.int64)
     ground = np.ascontiguousarray(ground_z_m, np.float32)
     _check(points, offsets, ground, names)
-    table = geometry_features(points, offsets, ground)
-    columns = np.array([ALL_NAMES.index(name) for name in names])
+    planar = np.ascontiguousarray(points.T, np.float32)
+    table = geometry_features(planar, offsets, ground, "hull_fill" in names)
     with_pieces = any(name in names for name in _PIECE_NAMES)
     if with_pieces or "nn_dist_std" in names:
-        table[:, ALL_NAMES.index("nn_dist_std")], spacing_m = neighbour_features(points, offsets)
+        table[:, _INDEX["nn_dist_std"]], spacing_m = neighbour_features(planar, offsets, with_pieces)
         if with_pieces:
-            first = ALL_NAMES.index(_PIECE_NAMES[0])
-            table[:, first : first + 2] = piece_features(points, offsets, spacing_m)
+            first = _INDEX[_PIECE_NAMES[0]]
+            table[:, first : first + 2] = piece_features(np.ascontiguousarray(planar.T), offsets, spacing_m)
     if "hull_point_ratio" in names:
-        table[:, ALL_NAMES.index("hull_point_ratio")] = hull_point_ratio(points, offsets)
-    return table[:, columns]
+        table[:, _INDEX["hull_point_ratio"]] = hull_point_ratio(points, offsets)
+    return table[:, [_INDEX[name] for name in names]]
 
 
 def _check(points: np.ndarray, offsets: np.ndarray, ground: np.ndarray, names: tuple[str, ...]) -> None:
@@ -98,6 +100,6 @@ def _check(points: np.ndarray, offsets: np.ndarray, ground: np.ndarray, names: t
         raise ValueError(f"offsets: expected 0 .. {len(points)}, got {offsets[0]} .. {offsets[-1]}")
     if np.any(np.diff(offsets) < 1):
         raise ValueError("offsets: every cluster needs at least one point")
-    unknown = sorted(set(names) - set(ALL_NAMES))
+    unknown = sorted(set(names) - _INDEX.keys())
     if unknown:
         raise ValueError(f"unknown feature(s) {unknown}; known: {', '.join(ALL_NAMES)}")
