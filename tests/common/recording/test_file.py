@@ -1,0 +1,110 @@
+"""Recording files: byte for byte, readable by the official reader, whole after a cut, never believed when damaged."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from common.codec import encode
+from common.messages import Verdict
+from common.recording.file import RecordingFile
+from common.recording.reader import (
+    RecordingError,
+    expected_messages,
+    files_in,
+    read,
+    read_metadata,
+    span_ns,
+    summarise,
+)
+
+KEY = "jetson0/fusion/verdict"
+Make = Callable[..., Verdict]
+Recorded = Callable[..., Path]
+
+
+def test_messages_come_back_byte_for_byte(recording_of: Recorded, verdict: Make) -> None:
+    path = recording_of(100)
+    recorded = list(read(path))
+    assert [one.log_ns for one in recorded] == list(range(1000, 1100))
+    assert recorded[7].payload == encode(verdict(1007, 7))
+    summary = summarise(path)
+    assert (summary.counts, summary.complete, summary.start_ns, summary.end_ns) == ({KEY: 100}, True, 1000, 1099)
+
+
+def test_the_official_reader_agrees_with_index_and_statistics(recording_of: Recorded) -> None:
+    path = recording_of(50, flush_every=10)
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == 50 == sum(summary.statistics.channel_message_counts.values())
+        assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 3
+        (schema,) = summary.schemas.values()
+        assert schema.name == "spotter.Verdict.v1"
+        assert "permission" in json.loads(schema.data)["$defs"]["Verdict"]["properties"]
+        assert len(list(reader.iter_messages(starting_at=1040))) == 10
+
+
+def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"precious")
+    with pytest.raises(FileExistsError):
+        RecordingFile(path, {})
+    assert path.read_bytes() == b"precious"
+
+
+def test_a_cut_file_is_read_up_to_its_last_whole_chunk(recording_of: Recorded) -> None:
+    path = recording_of(30, flush_every=1)
+    whole = path.read_bytes()
+    for cut in (1500, 4000, 8000):
+        path.write_bytes(whole[:cut])
+        stamps = [one.log_ns for one in read(path)]
+        assert 0 < len(stamps) < 30
+        assert stamps == list(range(1000, 1000 + len(stamps)))
+        assert not summarise(path).complete
+
+
+def test_damage_is_found_or_harmless_but_never_believed(recording_of: Recorded) -> None:
+    """A flipped byte anywhere: the same messages as before, fewer of them, or a clear error; never other ones."""
+    path = recording_of(30)
+    whole = path.read_bytes()
+    true = {one.payload for one in read(path)}
+    refused = 0
+    for position in range(0, len(whole), 7):
+        damaged = bytearray(whole)
+        damaged[position] ^= 0xFF
+        path.write_bytes(bytes(damaged))
+        try:
+            assert {one.payload for one in read(path)} <= true, position
+        except RecordingError:
+            refused += 1
+    assert refused > 20
+
+
+@pytest.mark.parametrize("content", [b"", b"not a recording at all, but long enough to be looked at"])
+def test_something_else_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError):
+        summarise(path)
+
+
+def test_the_index_tells_what_there_is_before_anything_is_read(recording_of: Recorded) -> None:
+    path = recording_of(40)
+    assert (expected_messages(path), span_ns(path)) == (40, (1000, 1039))
+    assert read_metadata(path) == {"spotter": {"version": "x"}}
+    path.write_bytes(path.read_bytes()[:-100])  # the recorder was killed
+    assert (expected_messages(path), span_ns(path), read_metadata(path)) == (0, (0, 0), {})
+
+
+def test_a_folder_is_its_files_in_order(tmp_path: Path) -> None:
+    for name in ("spotter-1-001.mcap", "spotter-1-000.mcap", "notes.txt"):
+        (tmp_path / name).touch()
+    assert [path.name for path in files_in(tmp_path)] == ["spotter-1-000.mcap", "spotter-1-001.mcap"]
+    assert files_in(tmp_path / "notes.txt") == [tmp_path / "notes.txt"]
