@@ -12,6 +12,7 @@ import typer
 from common.cli.connect import DEFAULT_ENDPOINT, Connect, Namespace, bus
 from common.cli.fail import fail
 from common.swap.compare import Limits
+from common.swap.keep import keep
 from common.swap.run import Order, Outcome
 from common.swap.run import swap as run_swap
 from common.topics import service_row
@@ -29,6 +30,10 @@ def swap(
     stop: Annotated[
         str, typer.Option("--stop", help="How its supervisor stops the old one, e.g. 'systemctl stop spotter-radar'.")
     ] = "",
+    start: Annotated[
+        str, typer.Option("--start", help="How its supervisor starts the old one again, to roll back.")
+    ] = "",
+    leave: Annotated[bool, typer.Option("--leave", help="Do not mind the new process: end at once.")] = False,
     log: Annotated[Path | None, typer.Option("--log", help="The candidate's output; default swap-SERVICE.log.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Compare only.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
@@ -50,13 +55,21 @@ def swap(
         connect=connect.split(",")[0],
         namespace=namespace,
         stop_command=stop,
+        start_command=start,
         log=log or Path(f"swap-{service}.log"),
         dry_run=dry_run,
     )
     with bus(connect, namespace) as session:
-        outcome = run_swap(session, order, lambda text: print(f"  {text}", file=sys.stderr))
-    print(msgspec.json.encode(outcome).decode() if as_json else "\n".join(_lines(order, outcome)))
+        outcome, live = run_swap(session, order, _say)
+    print(msgspec.json.encode(outcome).decode() if as_json else "\n".join(_lines(order, outcome)), flush=True)
+    if live is not None and not leave:
+        _say(f"minding process {live.process.pid}: started again when it dies; Ctrl-C stops it")
+        keep(service, live, _say)
     raise SystemExit(0 if outcome.promoted or (dry_run and not outcome.reasons) else 1)
+
+
+def _say(text: str) -> None:
+    print(f"  {text}", file=sys.stderr)
 
 
 def _lines(order: Order, outcome: Outcome) -> list[str]:
@@ -74,7 +87,9 @@ def _lines(order: Order, outcome: Outcome) -> list[str]:
             f"{h.verdict_flaps} verdict flaps, {h.health_flaps} health flaps"
         )
     if outcome.promoted:
-        lines.append(f"promoted: {outcome.new}, process {outcome.pid}. To keep it after a restart, put into site.toml:")
+        lines.append(
+            f"promoted: {outcome.new}, process {outcome.pid}. For the next start of this host put into site.toml:"
+        )
         lines.append(f"  [hosts.{order.host}.services.{order.service}]  command = {order.candidate!r}")
     elif not outcome.reasons:
         lines.append("it may take over (nothing was changed)")

@@ -6,7 +6,9 @@ import os
 import shlex
 import signal
 import subprocess
+from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 from common.handover import PROMOTE
 from common.hosts import service_environment
@@ -24,54 +26,69 @@ def command_line(command: str, host: str, connect: str, namespace: str) -> list[
     return words
 
 
+@dataclass(frozen=True)
+class Live:
+    """A process that speaks for a service and has no supervisor, with what it takes to start it once more."""
+
+    process: subprocess.Popen[bytes]
+    words: list[str]
+    environment: dict[str, str]
+
+    @classmethod
+    def start(cls, words: list[str], environment: dict[str, str], output: IO[bytes]) -> Live:
+        """In a session of its own, so that a Ctrl-C here does not reach it."""
+        process = subprocess.Popen(
+            words, env=environment, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
+        )
+        return cls(process, words, _without_swap(environment))
+
+    def stop(self) -> None:
+        """SIGTERM, and SIGKILL for one that does not hear it."""
+        if self.process.poll() is not None:
+            return
+        self.process.terminate()
+        try:
+            self.process.wait(STOP_BUDGET_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+
 class Candidate:
-    """A process in the shadow. Its log goes to a file; it outlives us once it is live."""
+    """A process in the shadow. Its log goes to a file."""
 
     def __init__(self, words: list[str], told: dict[str, str], succeeds: str, log: Path) -> None:
         environment = {**service_environment(), **told, "SPOTTER_SHADOW": SHADOW, "SPOTTER_SUCCEEDS": succeeds}
         self.log = log
         with log.open("wb") as output:
-            self._process = subprocess.Popen(
-                words,
-                env=environment,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
+            self.live = Live.start(words, environment, output)
 
     @property
     def pid(self) -> int:
-        return self._process.pid
+        return self.live.process.pid
 
     def ended(self) -> str:
         """How it ended, with the last line of its log; empty while it runs."""
-        code = self._process.poll()
+        code = self.live.process.poll()
         if code is None:
             return ""
         lines = self.log.read_text(errors="replace").strip().splitlines()
         return f"it ended with code {code}: {lines[-1] if lines else 'no output'}"
 
     def promote(self) -> None:
-        self._process.send_signal(PROMOTE)
+        self.live.process.send_signal(PROMOTE)
 
     def stop(self) -> None:
-        if self._process.poll() is not None:
-            return
-        self._process.terminate()
-        try:
-            self._process.wait(STOP_BUDGET_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self.live.stop()
 
 
 class Predecessor:
     """The running service: stopped by a signal or by its supervisor's command, started again if need be."""
 
-    def __init__(self, pid: int, stop_command: str) -> None:
+    def __init__(self, pid: int, stop_command: str, start_command: str) -> None:
         self.pid = pid
-        self._stop_command = shlex.split(stop_command)
+        self.live: Live | None = None  # when it was started again from here
+        self._stop_command, self._start_command = shlex.split(stop_command), shlex.split(start_command)
         self._words, self._environment = _remember(pid)
 
     @property
@@ -86,18 +103,13 @@ class Predecessor:
             os.kill(self.pid, signal.SIGTERM)
 
     def start_again(self, log: Path) -> bool:
-        """With the words and the environment that it had; False when those are not known."""
+        """By its supervisor's command, or with the words and the environment that it had; False without either."""
+        if self._start_command:
+            return subprocess.run(self._start_command, timeout=30, check=False).returncode == 0
         if not self._words:
             return False
         with log.open("ab") as output:
-            subprocess.Popen(
-                self._words,
-                env=self._environment,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=output,
-                start_new_session=True,
-            )
+            self.live = Live.start(self._words, self._environment, output)
         return True
 
 
@@ -109,6 +121,10 @@ def _remember(pid: int) -> tuple[list[str], dict[str, str]]:
     except OSError:
         return [], {}
     environment = dict(pair.decode(errors="surrogateescape").split("=", 1) for pair in pairs if b"=" in pair)
-    for name in ("SPOTTER_SHADOW", "SPOTTER_SUCCEEDS", "NOTIFY_SOCKET", "WATCHDOG_PID"):
-        environment.pop(name, None)
-    return [word.decode(errors="surrogateescape") for word in words], environment
+    return [word.decode(errors="surrogateescape") for word in words], _without_swap(environment)
+
+
+def _without_swap(environment: dict[str, str]) -> dict[str, str]:
+    """As for a service that was always live and is supervised by nobody."""
+    gone = ("SPOTTER_SHADOW", "SPOTTER_SUCCEEDS", "NOTIFY_SOCKET", "WATCHDOG_PID", "WATCHDOG_USEC")
+    return {name: value for name, value in environment.items() if name not in gone}

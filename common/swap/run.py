@@ -17,7 +17,7 @@ from common.codec import DecodeError, decode
 from common.messages import ServiceInfo
 from common.presence import AFTER, Presence
 from common.security.rules import SHADOW
-from common.swap.candidate import Candidate, Predecessor, command_line
+from common.swap.candidate import Candidate, Live, Predecessor, command_line
 from common.swap.compare import Comparison, Heard, Limits, compare, refuse
 from common.swap.watch import Ear, Gap, handover_seen, primary
 
@@ -38,6 +38,7 @@ class Order:
     connect: str
     namespace: str
     stop_command: str
+    start_command: str
     log: Path
     dry_run: bool
 
@@ -60,12 +61,15 @@ class Refused(Exception):
         self.reasons, self.comparison = reasons, comparison
 
 
-def swap(session: zenoh.Session, order: Order, say: Callable[[str], None]) -> Outcome:
-    """Start the candidate in the shadow, compare, hand over, watch; or refuse and leave everything as it was."""
+def swap(session: zenoh.Session, order: Order, say: Callable[[str], None]) -> tuple[Outcome, Live | None]:
+    """Start the candidate in the shadow, compare, hand over, watch; or refuse and leave everything as it was.
+
+    Returns what became of it, and the process of ours that speaks for the service now, if there is one: mind it.
+    """
     with ExitStack() as stack:
         try:
             old = _running(session, order)
-            predecessor = Predecessor(old.pid, order.stop_command)
+            predecessor = Predecessor(old.pid, order.stop_command, order.start_command)
             if not predecessor.reachable:
                 raise Refused(f"process {old.pid} is not on this machine: run swap there, or give --stop")
             ears = _Ears(session, order, stack)
@@ -73,10 +77,11 @@ def swap(session: zenoh.Session, order: Order, say: Callable[[str], None]) -> Ou
             stack.callback(lambda: candidate.stop() if not ears.promoted else None)
             comparison = _compare(order, ears, candidate, say)
             if order.dry_run:
-                return Outcome(promoted=False, comparison=comparison, old=old.instance)
-            return _hand_over(order, ears, candidate, predecessor, old, comparison, say)
+                return Outcome(promoted=False, comparison=comparison, old=old.instance), None
+            outcome = _hand_over(order, ears, candidate, predecessor, old, comparison, say)
+            return outcome, candidate.live if outcome.promoted else predecessor.live
         except Refused as refused:
-            return Outcome(promoted=False, reasons=refused.reasons, comparison=refused.comparison)
+            return Outcome(promoted=False, reasons=refused.reasons, comparison=refused.comparison), None
 
 
 class _Ears:
@@ -206,8 +211,9 @@ def _roll_back(
 ) -> Outcome:
     """The old one is started again as it was."""
     candidate.stop()
+    begun_s = monotonic_s()
     if predecessor.start_again(order.log):
-        back = ears.live.wait(lambda heard: heard.arrived_s > monotonic_s() - 1.0, START_BUDGET_S, lambda: False)
+        back = ears.live.wait(lambda heard: heard.arrived_s > begun_s, START_BUDGET_S, lambda: False)
         reasons.append("the old service runs again" if back else f"the old service does not come back; {order.log}")
     return Outcome(promoted=False, reasons=tuple(reasons), comparison=comparison, handover=seen)
 

@@ -6,8 +6,10 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,30 +19,43 @@ import zenoh
 from common import topics
 from common.codec import decode
 from common.config import ZenohConfig
-from common.messages import SystemHealth
+from common.messages import RadarTracks, ServiceInfo, SystemHealth
 from common.session import open_session
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(120)]
-STANDIN = str(Path(__file__).with_name("standin_radar.py"))
+HERE = Path(__file__).parent
+STANDIN = f"{sys.executable} {HERE / 'standin_radar.py'}"
+WORSE = f"{sys.executable} {HERE / 'standin_worse.py'}"
 BIN = Path(sys.executable).parent
 
 
 @pytest.fixture
 def standin(router_endpoint: str) -> Iterator[subprocess.Popen[bytes]]:
-    """The stand-in as the live radar, and whatever takes its place is stopped as well."""
-    environment = {**os.environ, "SPOTTER_CONNECT": router_endpoint}
-    process = subprocess.Popen([sys.executable, STANDIN], env=environment)
+    """The stand-in as the live radar."""
+    process = subprocess.Popen(STANDIN.split(), env={**os.environ, "SPOTTER_CONNECT": router_endpoint})
     yield process
     process.terminate()
     process.wait(10)
 
 
-def swap(endpoint: str, log: Path, candidate: str, *more: str) -> tuple[int, dict[str, Any]]:
+@pytest.fixture
+def laptop(router_endpoint: str) -> Iterator[zenoh.Session]:
+    session = open_session(ZenohConfig(connect=(router_endpoint,)), give_up_after_s=10.0)
+    yield session
+    session.close()
+
+
+@contextmanager
+def swap(endpoint: str, log: Path, candidate: str, *more: str) -> Iterator[tuple[subprocess.Popen[str], Any]]:
+    """The command after it has told its outcome; what it minds is stopped with it."""
     words = [str(BIN / "spotter"), "swap", "radar", "--candidate", candidate, "--json", "--log", str(log)]
     words += ["--seconds", "2", "--probation", "2", "--connect", endpoint, *more]
-    finished = subprocess.run(words, capture_output=True, text=True, timeout=100, check=False)
-    assert finished.stdout, finished.stderr
-    return finished.returncode, json.loads(finished.stdout)
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            yield process, json.loads(process.stdout.readline())
+        finally:
+            process.terminate()
 
 
 def instances(session: zenoh.Session) -> set[str]:
@@ -48,53 +63,94 @@ def instances(session: zenoh.Session) -> set[str]:
     return {topics.parse_token(str(reply.ok.key_expr))[2] for reply in replies if reply.ok is not None}
 
 
+def pids_of_radar(session: zenoh.Session) -> set[int]:
+    answers = [reply.ok for reply in session.get(topics.info_key("pi0", "radar"), timeout=2.0) if reply.ok is not None]
+    return {decode(answer.payload.to_bytes(), ServiceInfo).pid for answer in answers}
+
+
 def eventually(reached: Callable[[], object], budget_s: float = 30.0) -> None:
-    deadline_s = time.monotonic() + budget_s
+    deadline_s, pause = time.monotonic() + budget_s, threading.Event()
     while not reached():
         assert time.monotonic() < deadline_s
-        time.sleep(0.05)
+        pause.wait(0.05)
 
 
-def test_fusion_takes_the_word_of_a_foreign_radar(standin: Any, router_endpoint: str) -> None:
-    where = [f'zenoh.connect=["{router_endpoint}"]']
-    fusion = subprocess.Popen([str(BIN / "spotter-fusion"), *(w for s in where for w in ("--set", s))])
-    session = open_session(ZenohConfig(connect=(router_endpoint,)), give_up_after_s=10.0)
+def test_the_standin_is_short_and_needs_nothing_of_ours() -> None:
+    text = (HERE / "standin_radar.py").read_text()
+    assert len(text.splitlines()) <= 60
+    imported = {line.split()[1] for line in text.splitlines() if line.startswith(("import ", "from "))}
+    assert imported - set(sys.stdlib_module_names) == {"msgpack", "zenoh"}
+
+
+def test_fusion_takes_the_word_of_a_foreign_radar(standin: Any, laptop: zenoh.Session, router_endpoint: str) -> None:
+    fusion = subprocess.Popen([str(BIN / "spotter-fusion"), "--set", f'zenoh.connect=["{router_endpoint}"]'])
     states: list[str] = []
 
     def note(sample: zenoh.Sample) -> None:
         states.append(decode(sample.payload.to_bytes(), SystemHealth).sensors["radar"].state)
 
     try:
-        session.declare_subscriber(topics.FUSION_HEALTH.any_host, note)
+        laptop.declare_subscriber(topics.FUSION_HEALTH.any_host, note)
         eventually(lambda: states and states[-1] == "online")
     finally:
-        session.close()
         fusion.terminate()
         fusion.wait(10)
 
 
-def test_a_worse_candidate_is_refused_and_an_equal_one_takes_over(
-    standin: subprocess.Popen[bytes], router_endpoint: str, tmp_path: Path
+@pytest.mark.parametrize(
+    ("candidate", "why"),
+    [
+        (f"{WORSE} slow", "Hz, the live one"),
+        (f"{WORSE} late", "latency"),
+        (f"{sys.executable} -c 'raise SystemExit(3)'", "ended with code 3"),
+    ],
+    ids=["slow", "late", "dead"],
+)
+def test_a_worse_candidate_is_refused(
+    standin: Any, laptop: zenoh.Session, router_endpoint: str, tmp_path: Path, candidate: str, why: str
 ) -> None:
-    session = open_session(ZenohConfig(connect=(router_endpoint,)), give_up_after_s=10.0)
-    eventually(lambda: len(instances(session)) == 1)
-    before = instances(session)
-    for worse, why in (("slow", "Hz, the live one"), ("late", "latency")):
-        code, outcome = swap(router_endpoint, tmp_path / "log", f"{sys.executable} {STANDIN} {worse}")
-        assert code == 1
+    eventually(lambda: len(instances(laptop)) == 1)
+    before = instances(laptop)
+    with swap(router_endpoint, tmp_path / "log", candidate) as (process, outcome):
+        assert process.wait(10) == 1
         assert any(why in reason for reason in outcome["reasons"]), outcome
-        assert instances(session) == before
-    code, outcome = swap(router_endpoint, tmp_path / "log", f"{sys.executable} -c 'raise SystemExit(3)'")
-    assert code == 1
-    assert "ended with code 3" in outcome["reasons"][0]
-    code, outcome = swap(router_endpoint, tmp_path / "log", f"{sys.executable} {STANDIN}")
-    try:
-        assert code == 0, outcome
+        assert instances(laptop) == before
+
+
+def test_an_equal_one_takes_over_and_is_minded(
+    standin: subprocess.Popen[bytes], laptop: zenoh.Session, router_endpoint: str, tmp_path: Path
+) -> None:
+    eventually(lambda: len(instances(laptop)) == 1)
+    with swap(router_endpoint, tmp_path / "log", STANDIN) as (process, outcome):
+        assert outcome["promoted"], outcome
         assert outcome["handover"]["longest_gap_ms"] < 500.0  # the topic's age limit
         assert outcome["handover"]["messages"] > 10
         assert standin.wait(10) == 0
-        eventually(lambda: instances(session) == {outcome["new"]})
-    finally:
-        session.close()
-        if outcome["pid"]:
-            os.kill(outcome["pid"], 15)
+        eventually(lambda: instances(laptop) == {outcome["new"]})
+        os.kill(outcome["pid"], 9)
+        eventually(lambda: pids_of_radar(laptop) - {outcome["pid"]})  # started again, no longer in the shadow
+        assert not any("-after-" in instance for instance in instances(laptop))
+        process.terminate()
+        process.wait(10)
+        eventually(lambda: not instances(laptop))
+
+
+def test_one_that_fails_after_its_promotion_is_rolled_back(
+    standin: subprocess.Popen[bytes], laptop: zenoh.Session, router_endpoint: str, tmp_path: Path
+) -> None:
+    heard: list[RadarTracks] = []
+    eventually(lambda: len(instances(laptop)) == 1)
+    before = instances(laptop)
+    with swap(router_endpoint, tmp_path / "log", f"{WORSE} mortal") as (process, outcome):
+        assert not outcome["promoted"]
+        assert any("ended with code 9" in reason for reason in outcome["reasons"]), outcome
+        assert "the old service runs again" in outcome["reasons"]
+        assert standin.wait(10) == 0  # it had been stopped: what speaks now is a new process of the same command
+        eventually(lambda: len(instances(laptop)) == 1)
+        assert not instances(laptop) & before
+        assert not any("-after-" in instance for instance in instances(laptop))
+        laptop.declare_subscriber("pi0/radar/tracks", lambda s: heard.append(decode(s.payload.to_bytes(), RadarTracks)))
+        eventually(lambda: heard)
+        process.terminate()
+        assert process.wait(10) == 1
+        eventually(lambda: not instances(laptop))

@@ -1,0 +1,27 @@
+"""After a swap somebody has to mind the process that speaks now: the command that started it, until it is stopped."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+
+from common.supervisor import Child, Supervisor, run_supervised
+from common.swap.candidate import Live
+
+
+def keep(service: str, live: Live, say: Callable[[str], None]) -> int:
+    """Start the process again whenever it dies; Ctrl-C and SIGTERM stop it. Returns the exit code.
+
+    One that ends by itself (code 0: another swap has replaced it, or its recording is over) is left alone.
+    """
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        code = live.process.wait()
+    except KeyboardInterrupt:
+        live.stop()
+        return 0
+    if code == 0:
+        say(f"{service} ended by itself")
+        return 0
+    say(f"{service} ended with code {code}; starting it again")
+    return run_supervised(Supervisor([Child(service, live.words, environment=live.environment)]))
