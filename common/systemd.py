@@ -111,6 +111,7 @@ def _unit(name: str, host: str, start: str, needs: Needs) -> str:
         f"User={USER}",
         *([f"SupplementaryGroups={' '.join(needs.groups)}"] if needs.groups else []),
         "StateDirectory=spotter",
+        "WorkingDirectory=%S/spotter",  # a relative folder in a service's settings is below it
         "CacheDirectory=spotter",
         "Environment=NUMBA_CACHE_DIR=/var/cache/spotter OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1",
         f"MemoryMax={needs.memory}",

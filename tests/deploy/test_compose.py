@@ -30,11 +30,12 @@ def services(name: str) -> dict[str, dict[str, Any]]:
 
 @pytest.mark.parametrize(("name", "host"), HOSTS.items())
 def test_a_host_runs_its_services_and_a_router(name: str, host: str) -> None:
-    expected = {row.name for row in SERVICES if row.host == host} | {"router"}
+    expected = {row.name for row in SERVICES if row.host == host} | {"router", "blackbox"}
     assert set(services(name)) == expected
     for service, content in services(name).items():
         if service != "router":
             assert content["command"][-2:] == ["--only", service]
+        assert content.get("profiles", []) == (["blackbox"] if service == "blackbox" else [])
 
 
 @pytest.mark.parametrize("name", [*HOSTS, "router.yml", "demo.yml"])
@@ -61,6 +62,7 @@ def test_the_demo_has_tls_and_a_dashboard_with_a_token(monkeypatch: pytest.Monke
     site = load_site(path)
     assert site.tls.enabled
     assert set(services("demo.yml")) == {"keys", *site.hosts}
+    assert all("blackbox" in host.services for host in site.hosts.values())
     monkeypatch.setenv("SPOTTER_DASHBOARD_TOKEN", "sesame")
     assert "server.token=sesame" in plan_of(site, "jetson0", path).settings["dashboard"]
 

@@ -34,6 +34,7 @@ def test_each_service_has_a_unit_and_the_router_too() -> None:
         ("lidar", "serial:/dev/ttyTHS1", ["SupplementaryGroups=dialout", "IPAddressDeny=any"]),
         ("radar", "sim:crossing", ["PrivateDevices=yes", "IPAddressDeny=any"]),
         ("infra_lidar", "ouster://10.0.0.9", ["PrivateDevices=yes", "MemoryMax=2G"]),
+        ("blackbox", "", ["WorkingDirectory=%S/spotter", "StateDirectory=spotter", "PrivateDevices=yes"]),
     ],
 )
 def test_a_unit_may_use_what_its_source_needs_and_no_more(service: str, source: str, lines: list[str]) -> None:
