@@ -48,8 +48,8 @@ class Scene:
         self._config = config
         self._keeper = keeper
         self.ground = Ground(config.ground, buffers, config.blindness.near_m)
-        self.background = Background(config.background, buffers, stored)
         self._structure = StructureMap(config.clustering, config.ground.range_max_m)
+        self.background = Background(config.background, buffers, self._of_these_grids(stored))
         self._beams = np.zeros(256, bool)
         self._beam_count, self._sector_count = 0, 0
         self._complete = True
@@ -99,6 +99,12 @@ class Scene:
     def restart(self) -> None:
         """Forget the background: the sensor has been moved or turned."""
         self.background.restart()
+
+    def _of_these_grids(self, stored: BackgroundModel | None) -> BackgroundModel | None:
+        """A stored background, unless it was learned with other cells of the ground or of the clusters."""
+        if stored is None or stored.surface.shape != self.ground.surface.shape:
+            return None
+        return stored if self._structure.drawn_by_this(stored.structure) else None
 
     def _sift(self, points: np.ndarray) -> Sifted | None:
         if not self._config.background.enabled or not self._keeper.settled:

@@ -25,6 +25,10 @@ class StructureMap:
         self._side = Clustering(config, range_max_m).side
         self._body_m = config.body_height_m or np.inf
 
+    def drawn_by_this(self, drawn: np.ndarray) -> bool:
+        """Whether a map is on this grid; an empty one is on any."""
+        return not drawn.size or drawn.shape == (2, self._side, self._side)
+
     def draw(self, frame: Levelled, road_user: np.ndarray) -> np.ndarray:
         """The map of what stands in a whole frame, road_user (N,) bool left out, widened by a cell."""
         fixed = ~road_user[frame.rest]

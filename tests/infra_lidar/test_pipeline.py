@@ -6,7 +6,7 @@ import pytest
 
 from common.codec import encode
 from common.sim import lidar128
-from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
+from services.infra_lidar.config import BackgroundConfig, ClusteringConfig, GroundConfig, InfraLidarConfig
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.source import surveyed_pose
 from services.infra_lidar.store import Store
@@ -153,6 +153,24 @@ def test_what_was_learned_survives_a_restart(tmp_path):
     result = second.process(_stamp(30), frame)
     assert second.calibration.settled
     assert np.allclose(result.T_level_sensor, first.process(_stamp(31), frame).T_level_sensor)
+    assert result.background.mean() > 0.5
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"ground": GroundConfig(ring_m=5.0)}, {"clustering": ClusteringConfig(cell_m=0.2)}],
+    ids=["ground", "clusters"],
+)
+def test_a_background_learned_with_other_cells_is_learned_anew(tmp_path, other):
+    store, frame = Store(str(tmp_path)), made_up_frame()
+    first = InfraLidarPipeline(InfraLidarConfig(background=LEARN_FAST), *store.load())
+    for k in range(14):
+        first.process(_stamp(k), frame)
+        store.keep(first)
+    second = InfraLidarPipeline(InfraLidarConfig(background=LEARN_FAST, **other), *Store(str(tmp_path)).load())
+    assert not second.process(_stamp(30), frame).background.any()
+    for k in range(31, 45):
+        result = second.process(_stamp(k), frame)
     assert result.background.mean() > 0.5
 
 
