@@ -69,11 +69,13 @@ def calibration() -> None:
         )
 
 
-def streets() -> None:
-    """Ground and clusters, with the calibration found by ourselves."""
-    scenes = [(kind, 20 + seed, 60) for kind in KINDS for seed in range(CLUSTER_SCENES)]
-    frames = [frames_of(seed, objects, 1, 1800, kind)[0] for kind, seed, objects in scenes]
-    frames += [frames_of(20 + seed, 160, 1, 1800)[0] for seed in range(CLUSTER_SCENES)]
+def streets(kinds: tuple[str, ...], objects: int) -> list[Frame]:
+    """One turn of each of some streets of every kind."""
+    return [frames_of(20 + seed, objects, 1, 1800, kind)[0] for kind in kinds for seed in range(CLUSTER_SCENES)]
+
+
+def ground_and_clusters(frames: list[Frame]) -> None:
+    """Ground and clusters of both designs, with the calibration found by ourselves."""
     for name, ground, clustering in (
         ("ours", GroundConfig(), ClusteringConfig()),
         ("article", ARTICLE_GROUND, ARTICLE_CLUSTERING),
@@ -195,7 +197,9 @@ def _count_boxes(frame: LabelledFrame, counts: dict[tuple[str, str], Counter[str
 def main() -> None:
     calibration()
     print("\ngenerated streets, each with its own calibration")
-    streets()
+    ground_and_clusters(streets(KINDS, 60) + streets(("open",), 160))
+    print("on a slope, beside a bus, in a crowd")
+    ground_and_clusters(streets(BESIDE_THE_POLE, 60))
     print("\nArgoverse 2 sweep, ground against the dataset's ground map")
     argoverse()
     print(f"\nlabelled boxes of {MIN_POINTS} points or more, recorded from vehicles, with the shipped forest")
