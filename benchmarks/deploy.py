@@ -46,6 +46,7 @@ from common.drill.namespaces import Lab, missing
 COUNT_S = 8.0
 HOLD_S = 4.0
 STAGGER_S = 1.0
+KILLED_S = 0.3  # from the kill to when it has surely been noticed
 SAID = {
     "cut": "cut silently",
     "delay": f"{DELAY_S * 1e3:.0f} ms more each way",
@@ -125,18 +126,24 @@ def print_faults(bench: Bench) -> None:
     for host in SERVICES:
         begun_s = bench.vehicle.wait(all_online, monotonic_s())
         kill_router(bench.lab, host)
-        _print_noticed(bench, host, "router killed, replaced", BEHIND.get(host, ()), begun_s, begun_s + 0.5)
+        back_s = bench.vehicle.wait(all_online, begun_s + KILLED_S)
+        heard_s = bench.laptop.wait(is_verdict, begun_s + KILLED_S)
+        ended_s = max(back_s, heard_s)  # the mending begins with the kill
+        vehicle = Noticed.by(bench.vehicle, BEHIND.get(host, ()), begun_s, ended_s, ended_s + back_s - begun_s)
+        laptop = Noticed.by_laptop(bench.laptop, begun_s, ended_s, ended_s + heard_s - begun_s)
+        _print_views(host, "router killed, replaced", vehicle, laptop)
 
 
 def _print_noticed(bench: Bench, host: str, fault: str, lost: tuple[str, ...], begun_s: float, ended_s: float) -> None:
-    """Both views; where the laptop noticed nothing, only the vehicle's."""
     back_s = bench.vehicle.wait(all_online, ended_s)
     heard_s = bench.laptop.wait(is_verdict, ended_s)
-    rows = {
-        "vehicle": Noticed.by(bench.vehicle, lost, begun_s, ended_s, back_s),
-        "laptop": Noticed.by_laptop(bench.laptop, begun_s, ended_s, heard_s),
-    }
-    for where, seen in rows.items():
+    vehicle = Noticed.by(bench.vehicle, lost, begun_s, ended_s, back_s)
+    _print_views(host, fault, vehicle, Noticed.by_laptop(bench.laptop, begun_s, ended_s, heard_s))
+
+
+def _print_views(host: str, fault: str, vehicle: Noticed, laptop: Noticed) -> None:
+    """Where the laptop noticed nothing, only the vehicle's."""
+    for where, seen in (("vehicle", vehicle), ("laptop", laptop)):
         if where == "laptop" and seen.notice_s is None:
             continue
         cause = ", ".join((*seen.causes, *(f"WRONG: {one}" for one in seen.wrong))) or "online throughout"

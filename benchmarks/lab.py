@@ -200,11 +200,15 @@ def _wrong(lines: list[Line], lost: tuple[str, ...]) -> Iterator[str]:
     """What health and verdict may not say with these sensors out of reach and nothing near the vehicle."""
     for line in lines:
         if line["kind"] == "health":
-            missed = {name for name, one in line["states"].items() if one != "online"}
-            if missed - set(lost):
-                yield f"{', '.join(sorted(missed - set(lost)))} not online"
+            if _missing(line) - set(lost):
+                yield f"{', '.join(sorted(_missing(line) - set(lost)))} not online"
         elif line["level"] != "SAFE" and not lost:
             yield f"verdict {line['level']} by {line['rule']}"
+    known_s = next((line["at"] for line in lines if line["kind"] == "health" and _missing(line) & set(lost)), None)
     last = next((line for line in reversed(lines) if is_verdict(line)), None)
-    if last is not None and set(lost) & set(last["used"]):
+    if known_s is not None and last is not None and last["at"] > known_s and set(lost) & set(last["used"]):
         yield f"the last verdict still uses {', '.join(sorted(set(lost) & set(last['used'])))}"
+
+
+def _missing(line: Line) -> set[str]:
+    return {name for name, one in line["states"].items() if one != "online"}
