@@ -3,13 +3,16 @@
     python -m benchmarks.kitti_tracking                     # track the PointRCNN detections and score
     python -m benchmarks.kitti_tracking --results FOLDER    # score somebody's result files: FOLDER/<sequence>.txt
     python -m benchmarks.kitti_tracking --write FOLDER      # keep our result files
+    python -m benchmarks.kitti_tracking --held-out          # settings chosen on the other half of the sequences
 
-One set of settings for all sequences; ``--halves`` shows each half of the sequences on its own.
+The settings are the preset ``DETECTOR_TRACKING``, one for all sequences and all classes, and the detections are not
+filtered. ``--halves`` shows each half of the sequences on its own.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,30 +20,28 @@ from msgspec.structs import replace
 
 from benchmarks.kitti_format import CLASSES, Rows, data_folder, read_detections, read_rows, write_rows
 from benchmarks.kitti_rules import Summary, evaluate, prepare
-from services.infra_lidar.config import TrackingConfig
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
+from services.infra_lidar.tracking_config import DETECTOR_TRACKING, TrackingConfig
 
-# Boxes are of whole objects, and the frame rides on a car that brakes and turns. A lost track waits a second for its
-# object, unseen and unreported. People are confirmed at once: their detections rarely come again where they are false.
-_COMMON = TrackingConfig(boxes="full", gate=16.0, confirm_hits=2, confirm_s=0.05, coast_s=1.05)
-SETTINGS = {
-    "Car": replace(_COMMON, position_sigma_m=0.3, acceleration_sigma=4.0),
-    "Pedestrian": replace(_COMMON, position_sigma_m=0.2, acceleration_sigma=2.0, confirm_hits=1, confirm_s=0.0),
-    "Cyclist": replace(_COMMON, position_sigma_m=0.2, acceleration_sigma=2.0),
-}
-MIN_SCORE = {"Car": 1.0, "Pedestrian": 0.0, "Cyclist": 0.0}
 LABELS = {"Car": "car", "Pedestrian": "pedestrian", "Cyclist": "cyclist"}
 REFERENCE = {  # AB3DMOT of February 2022 on the same files: sAMOTA AMOTA AMOTP MOTA MOTP IDS FRAG FP FN
     "Car": (87.71, 40.34, 73.73, 78.36, 79.04, 0, 34, 750, 2645),
     "Pedestrian": (66.86, 24.89, 44.04, 62.93, 56.99, 0, 8, 11, 479),
     "Cyclist": (48.82, 17.23, 41.32, 32.49, 69.12, 0, 0, 40, 305),
 }
+CANDIDATES = [
+    replace(DETECTOR_TRACKING, gate=gate, found_confidence=found, confirm_hits=hits, confirm_s=confirm_s,
+            velocity_sigma_mps=velocity, acceleration_sigma=acceleration)
+    for gate in (7.81, 16.27)
+    for found in (0.0, 0.7)
+    for hits, confirm_s in ((1, 0.0), (2, 0.05), (3, 0.15))
+    for velocity, acceleration in ((6.0, 2.0), (10.0, 3.0))
+]  # fmt: skip
 _FRAME_NS = 100_000_000
 
 
-def track_sequence(detections: Rows, kind: str, settings: TrackingConfig, min_score: float) -> Rows:
+def track_sequence(detections: Rows, kind: str, settings: TrackingConfig = DETECTOR_TRACKING) -> Rows:
     """One sequence of one class: a row per confirmed track and frame, in the camera frame; coasting is not written."""
-    detections = detections.take(detections.score >= min_score)
     tracker = MultiObjectTracker(settings)
     last_seen: dict[int, int] = {}
     rows: list[tuple[int, int, int, np.ndarray]] = []
@@ -88,17 +89,20 @@ def _to_camera(position: tuple[float, ...], size: tuple[float, ...], yaw: float)
 
 
 def score_class(kind: str, results: dict[str, Rows], labels: dict[str, Rows]) -> Summary:
+    """All given sequences of one class at once."""
     return evaluate([prepare(labels[name], results[name], kind) for name in sorted(labels)])
 
 
 def table_row(name: str, summary: Summary) -> str:
+    """sAMOTA, AMOTA, AMOTP, MOTA, MOTP in percent, then switches, fragments, false and missed."""
     best = summary.best
     shares = [summary.samota, summary.amota, summary.amotp, best.mota, best.motp]
     counts = [best.switches, best.fragments, best.false, best.misses]
     return f"{name:<24}" + "".join(f"{100 * v:9.2f}" for v in shares) + "".join(f"{v:7d}" for v in counts)
 
 
-def _print_class(kind: str, results: dict[str, Rows], labels: dict[str, Rows], halves: bool) -> None:
+def print_class(kind: str, results: dict[str, Rows], labels: dict[str, Rows], halves: bool) -> None:
+    """Our row of one class, AB3DMOT's own row, and ours of each half."""
     print(table_row(kind, score_class(kind, results, labels)), flush=True)
     print(f"{'  AB3DMOT':<24}" + "".join(f"{v:9.2f}" for v in REFERENCE[kind][:5])
           + "".join(f"{v:7d}" for v in REFERENCE[kind][5:]))  # fmt: skip
@@ -108,10 +112,12 @@ def _print_class(kind: str, results: dict[str, Rows], labels: dict[str, Rows], h
 
 
 def main() -> None:
+    """Print the table of all classes, or skip without the recordings."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--results", type=Path, help="score these result files instead of our tracker's")
     parser.add_argument("--write", type=Path, help="keep our result files here")
     parser.add_argument("--halves", action="store_true")
+    parser.add_argument("--held-out", action="store_true")
     options, _ = parser.parse_known_args()
     folder = data_folder()
     if not folder.is_dir():
@@ -120,6 +126,10 @@ def main() -> None:
     labels = {path.stem: read_rows(path) for path in sorted((folder / "label").glob("*.txt"))}
     print(f"{'KITTI tracking, 3-D':<24}" + "".join(f"{n:>9}" for n in ("sAMOTA", "AMOTA", "AMOTP", "MOTA", "MOTP"))
           + "".join(f"{n:>7}" for n in ("IDS", "FRAG", "FP", "FN")))  # fmt: skip
+    if options.held_out:
+        for kind, results in held_out(labels, lambda name, kind: _detections(folder, name, kind)).items():
+            print_class(kind, results, labels, True)
+        return
     for kind in CLASSES:
         if options.results:
             results = {name: read_rows(options.results / f"{name}.txt") for name in labels}
@@ -129,12 +139,44 @@ def main() -> None:
             for name, rows in results.items():
                 options.write.joinpath(kind).mkdir(parents=True, exist_ok=True)
                 write_rows(options.write / kind / f"{name}.txt", rows)
-        _print_class(kind, results, labels, options.halves)
+        print_class(kind, results, labels, options.halves)
 
 
 def _track_file(folder: Path, name: str, kind: str) -> Rows:
-    detections = read_detections(folder / f"detections_{kind.lower()}" / f"{name}.txt", kind)
-    return track_sequence(detections, kind, SETTINGS[kind], MIN_SCORE[kind])
+    return track_sequence(_detections(folder, name, kind), kind)
+
+
+def _detections(folder: Path, name: str, kind: str) -> Rows:
+    return read_detections(folder / f"detections_{kind.lower()}" / f"{name}.txt", kind)
+
+
+def held_out(labels: dict[str, Rows], detections: Callable[[str, str], Rows]) -> dict[str, dict[str, Rows]]:
+    """Result rows by class and sequence, each half tracked with the settings that are best on the other half.
+
+    Best is the sum of sAMOTA and MOTA over all classes: one setting for everything, out of 24 that differ in what was
+    decided for ``DETECTOR_TRACKING``.
+    """
+    names = sorted(labels)
+    halves = names[::2], names[1::2]
+    sums = np.zeros((len(CANDIDATES), 2))
+    rows: dict[tuple[int, str, str], Rows] = {}
+    for number, settings in enumerate(CANDIDATES):
+        for kind in CLASSES:
+            rows |= {(number, kind, name): track_sequence(detections(name, kind), kind, settings) for name in names}
+            for half, chosen in enumerate(halves):
+                results = {name: rows[number, kind, name] for name in chosen}
+                got = score_class(kind, results, {name: labels[name] for name in chosen})
+                sums[number, half] += got.samota + got.best.mota
+    best = sums.argmax(axis=0)
+    for half, other in ((0, 1), (1, 0)):
+        s, shipped = CANDIDATES[best[half]], sums[CANDIDATES.index(DETECTOR_TRACKING), other]
+        print(f"chosen on the {('even', 'odd')[half]} half: gate {s.gate}, found {s.found_confidence}, hits "
+              f"{s.confirm_hits}, velocity {s.velocity_sigma_mps}; sum of sAMOTA and MOTA on the other half "
+              f"{sums[best[half], other]:.4f}, best there {sums[:, other].max():.4f}, shipped {shipped:.4f}",
+              flush=True)  # fmt: skip
+    return {
+        kind: {name: rows[best[1 - number % 2], kind, name] for number, name in enumerate(names)} for kind in CLASSES
+    }
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from services.infra_lidar.tracking_filter import DETECTION, TRACK, TRAIL, parame
 from services.infra_lidar.tracking_life import begin_frame, found, judge_lives, messages
 from services.infra_lidar.tracking_overlap import absorb_doubles, founders
 from services.infra_lidar.tracking_shape import judge_movement, update_pairs
+from services.infra_lidar.tracking_split import cut_groups
 
 assert set(LABELS) == set(get_args(ObjectLabel))
 
@@ -91,13 +92,15 @@ class MultiObjectTracker:
         self._next_id = -1
         self._ring_ns = np.zeros(TRAIL, np.int64)  # when the trail's slots were written
         self._frame = 0
+        self._cut = config.split_groups and config.boxes == "visible"
+        self._source = np.zeros(0, np.int64)  # the detection of the caller that each of the last frame's came from
         self.absorbed: dict[int, int] = {}  # tracks that were given up in the last frame, and for which
 
     @property
     def matches(self) -> dict[int, int]:
-        """Track id -> index of the detection it took in the last frame."""
+        """Track id -> index of the detection it took in the last frame; people in one cluster share it."""
         hit = self._tracks[self._tracks["detection"] >= 0]
-        return dict(zip(hit["track_id"].tolist(), hit["detection"].tolist(), strict=True))
+        return dict(zip(hit["track_id"].tolist(), self._source[hit["detection"]].tolist(), strict=True))
 
     def update(self, stamp_ns: int, detections: Detections) -> list[ObjectTrack]:
         """One frame: ``step``, then ``messages``."""
@@ -108,6 +111,9 @@ class MultiObjectTracker:
         """One frame. A stamp that is not later than the last one begins anew: all tracks are dropped."""
         # Bring every track to the time of this frame
         dt_s, seen, p = self._advance(stamp_ns), detections.records(), self._settings
+
+        # Cut clusters of people where their tracks are
+        seen, self._source = cut_groups(self._tracks, seen) if self._cut else (seen, np.arange(len(seen)))
 
         # Find the cheapest assignment of detections to tracks
         rows, columns, costs = allowed_pairs(self._tracks, seen, p)
@@ -130,7 +136,7 @@ class MultiObjectTracker:
         """Drop the tracks that stand and whose detection of the last frame, (K,) bool, will not be seen again, or that
         had none: what remains of them would look as if it moved. So would the rest of what stands, compared with how
         it was seen until now: that comparison begins anew. Tracks that are kept go on under their ids."""
-        gone = np.append(vanished, True)[self._tracks["detection"]]  # the last one is for -1, no detection
+        gone = np.append(vanished[self._source], True)[self._tracks["detection"]]  # the last one is for no detection
         self._keep(self._tracks["moving"] | (~gone & self._tracks["confirmed"]))
         standing = ~self._tracks["moving"]
         self._tracks["frames"][standing], self._tracks["run"][standing] = 0, 0

@@ -101,3 +101,42 @@ def test_a_standing_ghost_inside_a_passing_bus_is_given_up() -> None:
     out, absorbed = play([bus(n, False) for n in range(12)] + passing)
     assert max(len([t for t in tracks if t.state != "tentative"]) for tracks in out) == 1
     assert set(absorbed.values()) == {out[-1][0].track_id}
+
+
+def walkers(*places: tuple[float, float]) -> Detections:
+    return frame(*((x, y, 0.5, 0.5, 1.7, "pedestrian", 40) for x, y in places))
+
+
+def test_people_who_come_together_in_one_cluster_keep_their_tracks() -> None:
+    """Three walk side by side, are one cluster for a second and a half, and part again."""
+    apart = [walkers((0.12 * n, -0.8), (0.12 * n, 0.0), (0.12 * n, 0.8)) for n in range(10)]
+    together = [frame((0.12 * n, 0.0, 0.5, 2.1, 1.7, "car", 120)) for n in range(10, 25)]
+    again = [walkers((0.12 * n, -0.8), (0.12 * n, 0.0), (0.12 * n, 0.8)) for n in range(25, 35)]
+    out, _ = play(apart + together + again)
+    ids = {t.track_id for t in out[5]}
+    assert [{t.track_id for t in tracks} for tracks in out[5:]] == [ids] * 30
+    assert {t.state for tracks in out[5:] for t in tracks} == {"confirmed"}
+    assert {t.label for t in out[24]} == {"pedestrian"}
+    assert sorted(t.position_m[1] for t in out[24]) == pytest.approx([-0.8, 0.0, 0.8], abs=0.25)
+    off, _ = play(apart + together + again, TrackingConfig(split_groups=False))
+    assert {t.track_id for t in off[-1]} != ids
+
+
+def test_pieces_tell_where_they_came_from() -> None:
+    """Two tracks share the detection they were cut from; what is cut leaves the caller's numbering alone."""
+    tracker = MultiObjectTracker(TrackingConfig())
+    for n in range(8):
+        before = tracker.update(T0_NS + n * 100_000_000, walkers((0.0, 0.4), (0.0, -0.4), (9.0, 0.0)))
+    tracker.update(
+        T0_NS + 800_000_000,
+        frame((9.0, 0.0, 0.5, 0.5, 1.7, "pedestrian", 40), (0.0, 0.0, 1.3, 0.5, 1.7, "cyclist", 80)),
+    )
+    assert tracker.matches[before[2].track_id] == 0
+    assert len(tracker.matches) == 2  # too near each other along the cluster, which lies the other way: not cut
+    tracker.update(
+        T0_NS + 900_000_000,
+        frame((9.0, 0.0, 0.5, 0.5, 1.7, "pedestrian", 40), (0.0, 0.0, 0.5, 1.3, 1.7, "cyclist", 80)),
+    )
+    assert [tracker.matches[track.track_id] for track in before] == [1, 1, 0]
+    tracker.forget(np.array([False, True]))
+    assert [track.track_id for track in tracker.messages()] == [before[2].track_id]

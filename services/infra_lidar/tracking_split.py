@@ -1,0 +1,103 @@
+"""People who were apart and now stand close enough to be one cluster: their tracks tell where to cut it.
+
+The article's track-guided split, on boxes instead of points, between as many tracks as are predicted inside (the
+article takes the first two), before the assignment: every track then finds its piece.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from services.infra_lidar.classes import CLASSES
+from services.infra_lidar.jit import kernel
+
+_CYCLIST, _PEDESTRIAN = CLASSES.index("cyclist"), CLASSES.index("pedestrian")
+_PERSON_M = 1.6  # no person on foot, and no cyclist across, is wider
+_GROUP_M = (0.7, 3.5)  # the long side of a cluster of some people
+_HEIGHT_M = (0.8, 2.3)
+_APART_M, _PIECE_M, _MARGIN_M = 0.3, 0.2, 0.1  # between two, least of one, and how far outside a prediction may lie
+_MOST = 8  # people in one cluster
+
+
+def cut_groups(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Detections (``DETECTION``) with the groups cut into one piece a track, and the index each came from.
+
+    A piece has the class chances of its track: a cluster of several says nothing about one. Nothing cut: unchanged.
+    """
+    source, owner, low, high = _cuts(tracks, detections)
+    if not len(source):
+        return detections, np.arange(len(detections))
+    pieces, length = detections[source], detections["size"][source].max(axis=1)
+    lengthwise = pieces["size"][:, 0] >= pieces["size"][:, 1]
+    heading = pieces["yaw"] + np.where(lengthwise, 0.0, 0.5 * np.pi)
+    middle = 0.5 * (low + high)
+    pieces["position"][:, 0] += middle * np.cos(heading)
+    pieces["position"][:, 1] += middle * np.sin(heading)
+    pieces["size"][np.arange(len(pieces)), np.where(lengthwise, 0, 1)] = high - low
+    pieces["points"] = (pieces["points"] * (high - low) / length).astype(np.int64)
+    pieces["chances"] = tracks["votes"][owner] / tracks["votes"][owner].sum(axis=1, keepdims=True)
+    pieces["label"] = tracks["label"][owner]
+    whole = np.setdiff1d(np.arange(len(detections)), source)
+    return np.concatenate((detections[whole], pieces)), np.concatenate((whole, source))
+
+
+@kernel
+def _cuts(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Pieces: index of the detection, of its track, and where it begins and ends along the long side, from the middle
+    (m)."""
+    people = np.zeros(len(tracks), np.bool_)
+    for t in range(len(tracks)):
+        people[t] = _is_person(tracks[t])
+    who = np.flatnonzero(people)
+    source, owner = np.empty(0, np.int64), np.empty(0, np.int64)
+    low, high = np.empty(0), np.empty(0)
+    if len(who) < 2:
+        return source, owner, low, high
+    for d in range(len(detections)):
+        inside, place = _predicted_inside(tracks, who, detections[d])
+        extent = max(detections[d].size[0], detections[d].size[1])
+        edges = np.empty(len(inside) + 1)
+        if len(inside) < 2 or not _cut(place, extent, edges):
+            continue
+        source = np.append(source, np.full(len(inside), d))
+        owner = np.append(owner, inside)
+        low, high = np.append(low, edges[:-1]), np.append(high, edges[1:])
+    return source, owner, low, high
+
+
+@kernel
+def _is_person(track: Any) -> bool:
+    people = track.votes[_CYCLIST] + track.votes[_PEDESTRIAN]
+    return track.confirmed and people > 0.5 * track.votes.sum() and max(track.size[0], track.size[1]) < _PERSON_M
+
+
+@kernel
+def _predicted_inside(tracks: np.ndarray, who: np.ndarray, seen: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The people predicted inside a cluster that may be a group, in their order along its long side, and where."""
+    length, width, height = seen.size[0], seen.size[1], seen.size[2]
+    inside, place, found = np.empty(_MOST, np.int64), np.empty(_MOST), 0
+    may = _GROUP_M[0] < max(length, width) < _GROUP_M[1] and min(length, width) < _PERSON_M
+    if may and _HEIGHT_M[0] < height < _HEIGHT_M[1]:
+        c, s = math.cos(seen.yaw), math.sin(seen.yaw)
+        for t in who:
+            dx, dy = tracks[t].mean[0] - seen.position[0], tracks[t].mean[1] - seen.position[1]
+            u, v = c * dx + s * dy, c * dy - s * dx
+            if abs(u) < 0.5 * length + _MARGIN_M and abs(v) < 0.5 * width + _MARGIN_M and found < _MOST:
+                inside[found], place[found] = t, u if length >= width else v
+                found += 1
+    order = np.argsort(place[:found])
+    return inside[:found][order], place[:found][order]
+
+
+@kernel
+def _cut(place: np.ndarray, extent: float, edges: np.ndarray) -> bool:
+    """Cut half way between neighbours; false where two are too near each other, or a piece would be too small."""
+    edges[0], edges[-1] = -0.5 * extent, 0.5 * extent
+    for k in range(1, len(place)):
+        if place[k] - place[k - 1] < _APART_M:
+            return False
+        edges[k] = 0.5 * (place[k] + place[k - 1])
+    return bool(np.all(np.diff(edges) >= _PIECE_M))
