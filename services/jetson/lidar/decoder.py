@@ -6,7 +6,7 @@ from common.messages import LaserScan
 from common.status import Report
 from services.jetson.lidar.assembly import ScanAssembler
 from services.jetson.lidar.config import LidarConfig
-from services.jetson.lidar.parser import PACKET_BYTES, Ld06Parser
+from services.jetson.lidar.parser import PACKET_BYTES, POINTS, Ld06Parser
 from services.jetson.lidar.timing import MAX_DRIFT
 
 # Worth knowing, but nothing was wrong with a packet: the rest of the counters is bad input.
@@ -41,9 +41,14 @@ class ScanDecoder:
         self._watch(now_s, bool(packets), bool(data))
         return scans
 
-    def wanted_bytes(self) -> int:
-        """How many bytes will close the revolution: what a reader may wait for at once."""
-        return PACKET_BYTES * self.assembler.packets_to_index() - self.parser.pending
+    def wanted_s(self) -> float:
+        """How long until the bytes that close the revolution have come: a reader may sleep nearly as long."""
+        packets = self.assembler.packets_to_index() - self.parser.pending / PACKET_BYTES
+        return packets * POINTS / self._config.scan.sample_rate_hz
+
+    def missing_bytes(self) -> int:
+        """How many bytes complete the next packet: what a reader may wait for at once."""
+        return PACKET_BYTES - self.parser.pending
 
     def _tell_counts(self) -> None:
         counts = {**self.parser.counters, **self.assembler.counters}

@@ -16,7 +16,8 @@ class LanePersistence:
     to raise, 4 consecutive outside to clear", with one number instead of counters per band.
 
     Scans are counted, and time bounds the count when the sensor turns slowly: two scans that together took 0.3 s
-    raise, two that took 0.4 s clear. Scans further apart than ``max_gap_s`` are not consecutive.
+    raise, two that took 0.4 s clear. Scans further apart than ``max_gap_s`` are not consecutive, and what was agreed on
+    before is forgotten: see ``Silence``.
     """
 
     def __init__(self, config: PersistenceSection) -> None:
@@ -29,7 +30,7 @@ class LanePersistence:
         """The agreed distance after a scan that ended at ``stamp_ns``."""
         last_ns, self._last_ns = self._last_ns, stamp_ns
         if last_ns is not None and not 0 <= stamp_ns - last_ns <= self._config.max_gap_s * 1e9:
-            self._scans.clear()
+            self.forget()
             last_ns = None
         began_ns = stamp_ns if last_ns is None else last_ns
         self._scans.append((began_ns, stamp_ns, nearest_m))
@@ -40,6 +41,11 @@ class LanePersistence:
         elif cleared and min(cleared) > self.agreed_m:
             self.agreed_m = min(cleared)
         return self.agreed_m
+
+    def forget(self) -> None:
+        """Nothing is known."""
+        self._scans.clear()
+        self.agreed_m = math.inf
 
     def _last(self, count: int, span_s: float) -> list[float]:
         """The newest ``count`` distances, or fewer (but two) that span the time; empty when there are not enough."""
@@ -52,3 +58,31 @@ class LanePersistence:
             if len(chosen) == count or (len(chosen) >= 2 and newest_ns - began_ns >= span_s * 1e9):
                 return chosen
         return []
+
+
+class Silence:
+    """After a silence longer than ``max_gap_s`` nothing is known: neither the old alarm nor its absence.
+
+    The lanes are forgotten, and until enough scans have seen something to raise an alarm the sensor is degraded: its
+    alarms count, its "all clear" does not.
+    """
+
+    def __init__(self, config: PersistenceSection) -> None:
+        self._config = config
+        self._last_ns: int | None = None
+        self._missing = 0
+        self._text = ""
+
+    def ended(self, stamp_ns: int) -> bool:
+        """True for the first scan after a silence; called once with every scan's stamp."""
+        last_ns, self._last_ns = self._last_ns, stamp_ns
+        if last_ns is None or 0 <= stamp_ns - last_ns <= self._config.max_gap_s * 1e9:
+            return False
+        self._missing = self._config.raise_scans
+        self._text = f"no scan for {abs(stamp_ns - last_ns) * 1e-9:.1f} s: looking again"
+        return True
+
+    def reason(self, could_see: bool) -> str:
+        """Why the lanes cannot be believed yet, "" once they can; called once with every scan."""
+        self._missing -= bool(self._missing and could_see)
+        return self._text if self._missing else ""

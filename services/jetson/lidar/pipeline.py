@@ -13,7 +13,7 @@ from common.messages import LaneLayout, LaserScan, LidarZone, LidarZones, worst
 from services.jetson.lidar.config import LidarConfig, ZonesSection
 from services.jetson.lidar.filters import Fate, Returns, judge, returns_of
 from services.jetson.lidar.health import Evidence, HealthMonitor, could_see, covered_by_something_near, evidence
-from services.jetson.lidar.persistence import LanePersistence
+from services.jetson.lidar.persistence import LanePersistence, Silence
 from services.jetson.lidar.zones import LANES, Measured, level_of, measure
 
 RATE_SMOOTHING = 0.2  # share of the newest scan in the published rate
@@ -27,15 +27,8 @@ class LidarPipeline:
 
     def __init__(self, config: LidarConfig) -> None:
         self._config = config
-        zones = config.zones
-        self._layout = LaneLayout(
-            centre_width_m=zones.centre_width_m,
-            side_width_m=zones.side_width_m,
-            look_ahead_m=zones.look_ahead_m,
-            imminent_m=zones.imminent_m,
-            caution_m=zones.caution_m,
-        )
         self._lanes = [LanePersistence(config.persistence) for _ in LANES]
+        self._silence = Silence(config.persistence)
         self._health = HealthMonitor(config.health, config.filter, config.zones.fov_deg)
         self._layout = layout_of(config.zones)
         self._last_ns: int | None = None
@@ -45,6 +38,11 @@ class LidarPipeline:
     def process(self, stamp_ns: int, scan: LaserScan) -> LidarZones:
         """Zones after the revolution that ended at ``stamp_ns``; stamps must rise."""
         config = self._config
+        # After a silence nothing is known: neither the old alarm nor its absence
+        if self._silence.ended(stamp_ns):
+            for lane in self._lanes:
+                lane.forget()
+
         # Order the beams and place their returns in the vehicle's frame
         returns = returns_of(scan, config.mounting)
 
@@ -58,6 +56,8 @@ class LidarPipeline:
         seen = evidence(returns, fate, config.zones.fov_deg, config.health.sectors, _motor(scan))
         reason = self._health.update(stamp_ns, seen)
         may_clear = self._may_clear(seen, returns, degraded=bool(reason))
+
+        reason = reason or self._silence.reason(may_clear or any(one.nearest_m is not None for one in measured))
 
         # Agree over several scans, in each lane and for each band
         zones = [self._agree(lane, stamp_ns, one, may_clear) for lane, one in zip(self._lanes, measured, strict=True)]

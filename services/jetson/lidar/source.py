@@ -32,7 +32,8 @@ Chunks = Iterator[tuple[int, bytes]]  # (UTC ns of arrival, bytes); b"" means th
 SCHEMES = {"serial": (), "file": ("rate", "loop"), "sim": ("t0",), "mcap": MCAP_PARAMETERS}
 FILE_CHUNK_BYTES = 8 * PACKET_BYTES
 READ_TIMEOUT_S = 0.05
-LONGEST_READ_BYTES = 8 * PACKET_BYTES
+LONGEST_PAUSE_S = 0.1  # the system keeps 4 kB for us: more than 0.2 s of the sensor
+AWAKE_S = 0.004  # before the closing byte is due: one packet and a late wake-up
 SIM_TICK_S = 0.01
 REPLAY_DRIFT = 10.0  # a replay may run slower than the recording: stamps follow the arrival
 
@@ -57,7 +58,7 @@ def open_source(
 
 def _chunks(url: SourceUrl, config: LidarConfig, decoder: ScanDecoder, report: Report) -> Chunks:
     if url.scheme == "serial":
-        return SerialBytes(url.target, config.serial, report, decoder.restart, decoder.wanted_bytes).chunks()
+        return SerialBytes(url.target, config.serial, report, decoder).chunks()
     if url.scheme == "file":
         return file_chunks(url, config.scan.sample_rate_hz, decoder.restart)
     if url.scheme == "mcap":
@@ -127,20 +128,11 @@ class SerialBytes:
         port: path of the device.
         config: baud rate and patience.
         report: receives "disconnected" with the reason.
-        restart: called whenever the port has been opened anew.
-        wanted: how many bytes would complete something; reading waits for them at most ``READ_TIMEOUT_S``.
+        decoder: is restarted whenever the port has been opened anew, and knows when the next scan will be complete.
     """
 
-    def __init__(
-        self,
-        port: str,
-        config: SerialSection,
-        report: Report,
-        restart: Callable[[], None],
-        wanted: Callable[[], int],
-    ) -> None:
-        self._port, self._config, self._report = port, config, report
-        self._restart, self._wanted = restart, wanted
+    def __init__(self, port: str, config: SerialSection, report: Report, decoder: ScanDecoder) -> None:
+        self._port, self._config, self._report, self._decoder = port, config, report, decoder
         self._was_open = False
 
     def chunks(self) -> Iterator[tuple[int, bytes]]:
@@ -150,7 +142,7 @@ class SerialBytes:
             try:
                 with self._open() as device:
                     self._was_open = True
-                    self._restart()
+                    self._decoder.restart()
                     for data in self._read(device):
                         if data:
                             pause_s = self._config.retry_first_s
@@ -165,8 +157,11 @@ class SerialBytes:
         return serial.Serial(self._port, self._config.baud_rate, timeout=READ_TIMEOUT_S, exclusive=True)
 
     def _read(self, device: serial.Serial) -> Iterator[bytes]:
+        """Sleep while most of a revolution arrives, be awake for its last bytes: waking for each packet costs more
+        than everything that is done with it."""
         while True:
-            yield device.read(min(self._wanted(), LONGEST_READ_BYTES))
+            time.sleep(min(max(0.0, self._decoder.wanted_s() - AWAKE_S), LONGEST_PAUSE_S))
+            yield device.read(max(device.in_waiting, self._decoder.missing_bytes()))
 
 
 def explain(port: str, error: Exception, was_open: bool) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 MODULUS_MS = 30_000
 MAX_DRIFT = 100e-6  # two crystals: how fast the offset may creep
-RESTART_S = 1.0  # a jump beyond this against the host's clock is a restarted sensor, not lost packets
+RESTART_S = 1.0  # off the host's clock by more, at once or little by little: a restarted sensor or another clock
 
 
 class DeviceClock:
@@ -33,13 +33,14 @@ class DeviceClock:
         elapsed_s = (arrival_ns - self._last_arrival_ns) * 1e-9
         step_ms = (timestamp_ms - self._last_ms) % MODULUS_MS
         step_ms += MODULUS_MS * max(0, round((elapsed_s * 1e3 - step_ms) / MODULUS_MS))
-        if abs(step_ms * 1e-3 - elapsed_s) > RESTART_S:
+        candidate_ns = arrival_ns - (self._device_ms + step_ms) * 1e6
+        runs_away = abs(candidate_ns - self._offset_ns) > RESTART_S * 1e9
+        if runs_away or abs(step_ms * 1e-3 - elapsed_s) > RESTART_S:
             self.restarts += 1
             self._start(timestamp_ms, arrival_ns)
             return self._device_ms, arrival_ns
         self._last_ms, self._last_arrival_ns = timestamp_ms, arrival_ns
         self._device_ms += step_ms
-        candidate_ns = arrival_ns - self._device_ms * 1e6
         self._offset_ns = min(self._offset_ns + step_ms * 1e6 * self._max_drift, candidate_ns)
         return self._device_ms, int(self._offset_ns + self._device_ms * 1e6)
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.jetson.lidar.config import PersistenceSection, ZonesSection
-from services.jetson.lidar.persistence import LanePersistence
+from services.jetson.lidar.persistence import LanePersistence, Silence
 from services.jetson.lidar.zones import level_of
 
 FREE = math.inf
@@ -94,3 +94,32 @@ def test_the_agreed_distance_follows_an_approach_two_scans_late() -> None:
     agreed = [lane.update(10**18 + n * 10**8, distance) for n, distance in enumerate(distances)]
     assert agreed[2:] == distances[:-2]
     assert all(b <= a for a, b in pairwise(agreed))
+
+
+def test_what_was_agreed_on_is_forgotten_over_a_silence() -> None:
+    lane = LanePersistence(PersistenceSection())
+    for n in range(5):
+        lane.update(10**18 + n * 10**8, 0.5)
+    assert lane.agreed_m == 0.5
+    assert lane.update(10**18 + 20 * 10**9, FREE) == FREE
+
+
+@pytest.mark.parametrize(
+    ("could_see", "degraded"),
+    [([True] * 4, [True, True, False, False]), ([False, False, True, True, True], [True, True, True, True, False])],
+)
+def test_after_a_silence_three_scans_that_see_are_needed(could_see: list[bool], degraded: list[bool]) -> None:
+    silence = Silence(PersistenceSection())
+    assert not silence.ended(10**18)
+    assert silence.reason(could_see=True) == ""
+    back_ns = 10**18 + 20 * 10**9
+    assert [silence.ended(back_ns + n * 10**8) for n in range(4)] == [True, False, False, False]
+    reasons = [silence.reason(saw) for saw in could_see]
+    assert [bool(reason) for reason in reasons] == degraded
+    assert reasons[0] == "no scan for 20.0 s: looking again"
+
+
+@pytest.mark.parametrize("gap_s", [0.1, 0.4, 0.5])
+def test_slow_scans_are_no_silence(gap_s: float) -> None:
+    silence = Silence(PersistenceSection())
+    assert not any(silence.ended(10**18 + round(n * gap_s * 1e9)) for n in range(5))

@@ -63,7 +63,7 @@ def test_a_turn_is_published_by_the_packet_that_closes_it() -> None:
     data = ld06.packets("crossing", 0.0, 1.0)
     for number, at in enumerate(range(0, len(data), PACKET_BYTES)):
         last_packet = data[at : at + PACKET_BYTES]
-        decoder.wanted_bytes()
+        decoder.wanted_s()
         for scan in decoder.feed(START_NS + int(number * 8e6 / 3), 0.0, last_packet):
             # The newest return is less than one packet old when the packet is there
             assert 0 <= START_NS + int(number * 8e6 / 3) - scan.stamp_ns < 4_000_000
@@ -116,6 +116,30 @@ def test_a_real_drive_replayed_as_an_ld06(hokuyo_mm: np.ndarray) -> None:
             near += 1
             assert np.abs(centre - zones.centre.nearest_m).min() < 0.002
     assert near > 300
+
+
+@pytest.mark.parametrize(("ahead_m", "levels"), [(0.0, ["SAFE"] * 4), (0.5, ["SAFE", "SAFE", "IMMINENT", "IMMINENT"])])
+def test_after_a_silence_neither_the_old_alarm_nor_all_clear_is_told(
+    scan_of: Callable[..., LaserScan], ahead_m: float, levels: list[str]
+) -> None:
+    """A board at 0.5 m, the plug out for 20 s, then board or free lane: degraded until three scans have seen it."""
+    pipeline = LidarPipeline(LidarConfig())
+    board = scan_of([(0.5, -0.1, 0.1)], 3.0)
+    before = [pipeline.process(START_NS + n * 10**8, board) for n in range(5)][-1]
+    assert (before.level, before.state) == ("IMMINENT", "online")
+    again = scan_of([(ahead_m, -0.1, 0.1)] if ahead_m else [], 3.0)
+    after = [pipeline.process(START_NS + 20 * 10**9 + n * 10**8, again) for n in range(4)]
+    assert [zones.level for zones in after] == levels
+    assert [zones.state for zones in after] == ["degraded", "degraded", "online", "online"]
+    assert "looking again" in after[0].reason
+
+
+def test_a_lens_that_was_covered_during_a_silence_is_never_all_clear(scan_of: Callable[..., LaserScan]) -> None:
+    pipeline = LidarPipeline(LidarConfig())
+    for n in range(5):
+        pipeline.process(START_NS + n * 10**8, scan_of([(0.5, -0.1, 0.1)], 3.0))
+    nothing = [pipeline.process(START_NS + 20 * 10**9 + n * 10**8, scan_of([], 0.0)) for n in range(30)]
+    assert {zones.state for zones in nothing} == {"degraded"}
 
 
 def test_picture_shows_lanes_returns_and_words(scan_of: Callable[..., LaserScan]) -> None:
