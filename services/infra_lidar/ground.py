@@ -17,6 +17,8 @@ from services.infra_lidar import kernels_surface as surfaces
 from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.config import GroundConfig
 
+END_BIN_M = 0.1
+
 
 @dataclass(frozen=True)
 class Levelled:
@@ -47,10 +49,10 @@ class Ground:
         self.rings = int(np.ceil(config.range_max_m / config.ring_m)) + 1
         self.sectors = round(360.0 / config.sector_deg)
         cells = self.rings * self.sectors
-        lowest = config.height_min_m if config.method == "flat" else max(config.height_min_m, -config.limit_max_m - 1.0)
-        highest = config.height_max_m if config.method == "flat" else min(config.height_max_m, config.limit_max_m + 1.0)
+        lowest = max(config.height_min_m, -config.limit_max_m - END_BIN_M)  # farther off nothing passes for road
+        highest = min(config.height_max_m, config.limit_max_m + END_BIN_M)
         self._lowest_m = np.float32(lowest)
-        self._histogram = np.zeros((cells, int(np.ceil((highest - lowest) / kernels.BIN_M)) + 1), np.uint16)
+        self._histogram = np.zeros((cells + 1, int(np.ceil((highest - lowest) / kernels.BIN_M)) + 1), np.uint16)
         self._count = np.zeros(cells, np.int32)
         self.height_m = np.full(cells, np.nan, np.float32)
         self.surface = np.zeros((cells, 3), np.float32)
@@ -97,14 +99,11 @@ class Ground:
             cell=take("cell", n, np.int16), ground=take("ground", n, np.bool_),
             rest=take("rest", n + 1, np.int32), above_m=take("above", n + 1, np.float32),
         )  # fmt: skip
-        returns, near = kernels.level(
-            points, T_level_sensor.astype(np.float32), self._near_m, frame.x, frame.y, frame.z
-        )
         config = self._config
-        kernels.polar_cells(
-            frame.x, frame.y, frame.z, np.float32(0.0), np.float32(0.0), np.float32(config.range_max_m),
-            np.float32(config.height_min_m), np.float32(config.height_max_m), np.float32(config.ring_m),
-            self.sectors, frame.cell,
+        limits = np.array([config.range_max_m, config.height_min_m, config.height_max_m], np.float32)
+        returns, near = kernels.level(
+            points, T_level_sensor.astype(np.float32), self._near_m, limits, np.float32(config.ring_m), self.sectors,
+            frame.x, frame.y, frame.z, frame.cell,
         )  # fmt: skip
         return replace(frame, returns=returns, near=near)
 

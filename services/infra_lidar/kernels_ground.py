@@ -38,81 +38,103 @@ def _angle(y, x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def level(points, T, near_m, x, y, z):  # type: ignore[no-untyped-def]
+def level(points, T, near_m, limits, ring, sectors, x, y, z, cell):  # type: ignore[no-untyped-def]
     """Rotate and shift (N, 3+) float32 sensor-frame points into planar level-frame x, y, z (N,) float32.
 
-    Points closer than NO_RETURN_M or not finite get z = NaN. Returns (returns, those of them closer than near_m).
+    limits (3,) float32: largest range, lowest and highest z. cell (N,) int16 is the polar cell, ring * sectors +
+    sector, or CLIPPED. Points closer than NO_RETURN_M or not finite get z = NaN and are clipped. Returns (returns,
+    those of them closer than near_m).
     """
-    r00, r01, r02, tx = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
-    r10, r11, r12, ty = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
-    r20, r21, r22, tz = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
-    least, most, near2 = NO_RETURN_M * NO_RETURN_M, FAR_M * FAR_M, near_m * near_m
+    near2, near, returns = near_m * near_m, 0, 0
     a, b, c = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    squared = np.empty(BLOCK, np.float32)
-    near, returns = 0, 0
+    squared, sector = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
     for start in range(0, points.shape[0], BLOCK):
         n = min(BLOCK, points.shape[0] - start)
         block = points[start : start + n]
-        bx, by, bz = x[start : start + n], y[start : start + n], z[start : start + n]
         for i in range(n):  # the only loop that reads the interleaved rows
             a[i], b[i], c[i] = block[i, 0], block[i, 1], block[i, 2]
-        for i in range(n):
-            squared[i] = a[i] * a[i] + b[i] * b[i] + c[i] * c[i]
-        for i in range(n):
-            bx[i] = r00 * a[i] + r01 * b[i] + r02 * c[i] + tx
-        for i in range(n):
-            by[i] = r10 * a[i] + r11 * b[i] + r12 * c[i] + ty
-        for i in range(n):
-            h = r20 * a[i] + r21 * b[i] + r22 * c[i] + tz
-            bz[i] = h if (squared[i] > least) & (squared[i] < most) else NOT_A_NUMBER
-        block_returns, block_near = np.int32(0), np.int32(0)
-        for i in range(n):
-            block_returns += np.int32((squared[i] > least) & (squared[i] < most))
-        for i in range(n):
-            block_near += np.int32((squared[i] > least) & (squared[i] < near2))
+        bx, by, bz = x[start : start + n], y[start : start + n], z[start : start + n]
+        _turn(a[:n], b[:n], c[:n], T, squared[:n], bx, by, bz)
+        block_returns, block_near = _count(squared[:n], near2)
         returns += block_returns
         near += block_near
+        _polar_cells(
+            bx, by, bz, limits, np.float32(1.0) / ring, sectors, squared[:n], sector[:n], cell[start : start + n]
+        )
     return returns, near
 
 
 @kernel
-def polar_cells(x, y, z, origin_x, origin_y, range_max, z_min, z_max, ring, sectors, cell):  # type: ignore[no-untyped-def]
-    """Polar cell of every point: ring * sectors + sector, or CLIPPED. ``cell`` is (N,) int16, written."""
-    n = x.shape[0]
-    radius = np.empty(BLOCK, np.float32)
-    sector = np.empty(BLOCK, np.float32)
-    per_ring = np.float32(1.0) / ring
-    per_sector = np.float32(sectors / (2.0 * np.pi))
-    last = np.int32(sectors - 1)
-    for start in range(0, n, BLOCK):
-        stop = min(start + BLOCK, n)
-        bx, by, bz, bc = x[start:stop], y[start:stop], z[start:stop], cell[start:stop]
-        for i in range(stop - start):
-            dx, dy = bx[i] - origin_x, by[i] - origin_y
-            radius[i] = np.sqrt(dx * dx + dy * dy)
-        for i in range(stop - start):
-            sector[i] = (_angle(by[i] - origin_y, bx[i] - origin_x) + PI) * per_sector
-        for i in range(stop - start):
-            s = min(np.int32(sector[i]), last)
-            c = np.int32(radius[i] * per_ring) * np.int32(sectors) + s
-            inside = (radius[i] <= range_max) & (bz[i] >= z_min) & (bz[i] <= z_max)
-            bc[i] = np.int16(c) if inside else CLIPPED
+def _turn(a, b, c, T, squared, x, y, z):  # type: ignore[no-untyped-def]
+    """x, y, z = T (a, b, c), z = NaN where there was no return; ``squared`` is the squared distance to the sensor."""
+    r00, r01, r02, tx = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
+    r10, r11, r12, ty = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
+    r20, r21, r22, tz = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
+    least, most = NO_RETURN_M * NO_RETURN_M, FAR_M * FAR_M
+    for i in range(a.shape[0]):
+        squared[i] = a[i] * a[i] + b[i] * b[i] + c[i] * c[i]
+    for i in range(a.shape[0]):
+        x[i] = r00 * a[i] + r01 * b[i] + r02 * c[i] + tx
+    for i in range(a.shape[0]):
+        y[i] = r10 * a[i] + r11 * b[i] + r12 * c[i] + ty
+    for i in range(a.shape[0]):
+        h = r20 * a[i] + r21 * b[i] + r22 * c[i] + tz
+        z[i] = h if (squared[i] > least) & (squared[i] < most) else NOT_A_NUMBER
+
+
+@kernel
+def _count(squared, near2):  # type: ignore[no-untyped-def]
+    """(returns, near returns) by squared distance."""
+    least, most = NO_RETURN_M * NO_RETURN_M, FAR_M * FAR_M
+    returns, near = np.int32(0), np.int32(0)
+    for i in range(squared.shape[0]):
+        returns += np.int32((squared[i] > least) & (squared[i] < most))
+    for i in range(squared.shape[0]):
+        near += np.int32((squared[i] > least) & (squared[i] < near2))
+    return returns, near
+
+
+@kernel
+def _polar_cells(x, y, z, limits, per_ring, sectors, radius, sector, cell):  # type: ignore[no-untyped-def]
+    """Polar cells of a block; ``radius`` and ``sector`` are scratch."""
+    range_max, z_min, z_max = limits[0], limits[1], limits[2]
+    per_sector, last = np.float32(sectors / (2.0 * np.pi)), np.int32(sectors - 1)
+    for i in range(x.shape[0]):
+        radius[i] = np.sqrt(x[i] * x[i] + y[i] * y[i])
+    for i in range(x.shape[0]):
+        sector[i] = (_angle(y[i], x[i]) + PI) * per_sector
+    for i in range(x.shape[0]):
+        s = min(np.int32(sector[i]), last)
+        c = np.int32(radius[i] * per_ring) * np.int32(sectors) + s
+        inside = (radius[i] <= range_max) & (z[i] >= z_min) & (z[i] <= z_max)
+        cell[i] = np.int16(c) if inside else CLIPPED
 
 
 @kernel
 def height_histograms(cell, z, hist_min, histogram, count):  # type: ignore[no-untyped-def]
-    """Fill histogram (cells, bins) uint16 of 1 cm and count (cells,) int32; heights outside go to the end bins."""
-    histogram[:] = 0
-    count[:] = 0
-    top = histogram.shape[1] - 1
-    per_m = np.float32(1.0 / BIN_M)
-    for i in range(cell.shape[0]):
-        c = cell[i]
-        if c >= 0:
-            b = np.int32((z[i] - hist_min) * per_m)
-            b = min(max(b, 0), top)
-            histogram[c, b] += np.uint16(1)
-            count[c] += 1
+    """Fill histogram (cells + 1, bins) uint16 of 1 cm and count (cells,) int32; heights outside go to the end bins.
+
+    The last row is for clipped points, so that nothing has to be decided. Cells are counted afterwards from their
+    bins: neighbours in time often share a cell, and adding to one counter again and again waits for memory each time.
+    """
+    cells, bins = histogram.shape[0] - 1, histogram.shape[1]
+    flat = histogram.reshape(histogram.size)
+    flat[:] = 0
+    per_m, top, clipped = np.float32(1.0 / BIN_M), np.int32(bins - 1), np.int32(cells * bins)
+    at = np.empty(BLOCK, np.uint32)
+    for start in range(0, cell.shape[0], BLOCK):
+        stop = min(start + BLOCK, cell.shape[0])
+        bz, bc = z[start:stop], cell[start:stop]
+        for i in range(stop - start):
+            b = min(max(np.int32((bz[i] - hist_min) * per_m), np.int32(0)), top)
+            at[i] = np.uint32(np.int32(bc[i]) * np.int32(bins) + b if bc[i] >= 0 else clipped)
+        for i in range(stop - start):
+            flat[at[i]] += np.uint16(1)
+    for c in range(cells):
+        total, row = np.int32(0), histogram[c]
+        for b in range(bins):
+            total += np.int32(row[b])
+        count[c] = total
 
 
 @kernel
@@ -143,20 +165,29 @@ def label_ground(x, y, z, cell, surface, below, above, keep_below, ground, above
     Points below the band are no obstacle (mirror images in puddles, ditches) unless ``keep_below``.
     """
     n, m = cell.shape[0], 0
-    height = np.empty(BLOCK, np.float32)
+    height, keep = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.uint8)
+    s0, s1, s2 = surface[:, 0].copy(), surface[:, 1].copy(), surface[:, 2].copy()
+    level = not (s1.any() or s2.any())
     for start in range(0, n, BLOCK):
         stop = min(start + BLOCK, n)
         bx, by, bz, bc, bg = x[start:stop], y[start:stop], z[start:stop], cell[start:stop], ground[start:stop]
+        if level:
+            for i in range(stop - start):
+                height[i] = bz[i] - s0[np.uint32(max(bc[i], np.int16(0)))]
+        else:
+            for i in range(stop - start):
+                c = np.uint32(max(bc[i], np.int16(0)))
+                height[i] = bz[i] - (s0[c] + s1[c] * bx[i] + s2[c] * by[i])
         for i in range(stop - start):
-            c = max(bc[i], 0)
-            h = bz[i] - (surface[c, 0] + surface[c, 1] * bx[i] + surface[c, 2] * by[i])
-            height[i] = h if bc[i] >= 0 else NOT_A_NUMBER  # fails every comparison below
+            bg[i] = (height[i] >= -below) & (height[i] <= above) & (bc[i] >= 0)
         for i in range(stop - start):
-            bg[i] = (height[i] >= -below) & (height[i] <= above)
+            keep[i] = ((height[i] > above) | (keep_below & (height[i] < -below))) & (bc[i] >= 0)
+        first = m
         for i in range(stop - start):  # without branches: the next point overwrites what is not kept
             rest[m] = start + i
-            above_ground[m] = height[i]
-            m += (height[i] > above) | (keep_below & (height[i] < -below))
+            m += keep[i]
+        for j in range(first, m):
+            above_ground[j] = height[rest[j] - start]
     return m
 
 
