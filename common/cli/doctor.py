@@ -13,11 +13,12 @@ from common.cli.connect import AsJson
 from common.cli.fail import fail
 from common.cli.site_option import SiteFile, read_site
 from common.config import ConfigError
-from common.doctor.bus import check_bus
+from common.doctor.bus import check_bus, check_from_laptop
 from common.doctor.certificates import check_certificate
 from common.doctor.findings import Finding
 from common.doctor.machine import check_machine, check_ports, check_provider, check_services
 from common.hosts import children, plan_of
+from common.security.names import read_names
 from common.session import init_zenoh_log
 from common.site import Site
 
@@ -25,7 +26,9 @@ _MARK = {"ok": "ok     ", "warning": "warning", "broken": "BROKEN "}
 
 
 def doctor(
-    host: Annotated[str, typer.Argument(help="Which host of the site this is; without it every host named here.")] = "",
+    host: Annotated[
+        str, typer.Argument(help="Which host of the site, or which laptop, this is; without it every host.")
+    ] = "",
     site_file: SiteFile = None,
     as_json: AsJson = False,
 ) -> None:
@@ -44,6 +47,10 @@ def doctor(
 
 
 def _examine(site: Site, host: str, keys: Path, site_file: Path | None) -> Iterator[Finding]:
+    if host not in site.hosts and host in read_names(keys).names:  # a laptop
+        yield from check_certificate(site, host, keys)
+        yield from check_from_laptop(site, host, keys)
+        return
     yield from check_services(children(site.rows(host), plan_of(site, host, site_file)))
     yield from check_certificate(site, host, keys)
     yield from check_ports(site, host)

@@ -5,23 +5,28 @@ from __future__ import annotations
 import importlib.metadata
 import queue
 import socket
+import threading
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import TypeVar
 
 import zenoh
 
 from common import topics
 from common.clock import utc_ns
-from common.codec import DecodeError, decode
-from common.config import ZenohConfig
+from common.codec import DecodeError, decode, encoding_of
+from common.config import ConfigError, ZenohConfig
 from common.doctor.findings import Finding, broken, ok
 from common.messages import ClockReply, Message, ServiceInfo, SystemHealth
-from common.session import close_session, open_session
+from common.security.router import laptop_config
+from common.session import close_session, open_session, undeclare
 from common.site import Site
 
 M = TypeVar("M", bound=Message)
 ANSWER_S = 1.5
+OPEN_S = 2.0
+PROBES, PROBE_S = 10, 0.1
 CLOCK_LIMIT_MS = 50.0
 
 
@@ -30,7 +35,7 @@ def check_bus(site: Site, host: str) -> Iterator[Finding]:
     own = site.host(host)
     config = ZenohConfig(namespace=site.namespace, connect=(own.loopback,))
     try:
-        session = open_session(config, give_up_after_s=2.0)
+        session = open_session(config, give_up_after_s=OPEN_S)
     except ConnectionError as error:
         yield broken("own router", str(error), f"start it: spotter up {host}, or systemctl start spotter-router")
         return
@@ -39,13 +44,35 @@ def check_bus(site: Site, host: str) -> Iterator[Finding]:
         for name in site.hosts:
             if name != host:
                 yield _dialled(site, name)
-            for service in site.host(name).services:
-                yield from _service(session, name, service)
+            yield from _services(session, name, site.host(name).services)
         yield from _seen_by_fusion(session, site, host)
         if site.tls.enabled:
             yield _rules(session, config)
     finally:
         close_session(session)
+
+
+def check_from_laptop(site: Site, name: str, keys: Path) -> Iterator[Finding]:
+    """As a laptop, at the router of each host: may it in, and does it hear what that host says?"""
+    for host in site.hosts:
+        dialled = _dialled(site, host)
+        yield dialled
+        if dialled.grade == "broken":
+            continue
+        try:
+            config = laptop_config(site, name, keys, host)
+            session = open_session(config, give_up_after_s=OPEN_S)
+        except (ConnectionError, ConfigError) as error:
+            do = f"is the certificate of {name} of this site and in date, and the clock right?"
+            yield broken(f"enter {host}", str(error), do)
+            continue
+        try:
+            yield ok(f"enter {host}", f"its router takes {name}")
+            yield from _services(session, host, site.host(host).services)
+            if site.tls.enabled:
+                yield _rules(session, config)
+        finally:
+            close_session(session)
 
 
 def _dialled(site: Site, name: str) -> Finding:
@@ -57,6 +84,29 @@ def _dialled(site: Site, name: str) -> Finding:
         do = "check cable, address in site.toml, firewall, and that its router runs"
         return broken(f"reach {name}", f"{other.address}:{other.port}: {error.strerror or error}", do)
     return ok(f"reach {name}", f"{other.address}:{other.port} accepts connections")
+
+
+def _services(session: zenoh.Session, host: str, services: Iterable[str]) -> Iterator[Finding]:
+    for service in services:
+        yield from _service(session, host, service)
+    topics_of_host = [t for t in topics.DATA_TOPICS if t.service in services and not t.on_demand]
+    heard = first_messages(session, [topic.key(host) for topic in topics_of_host])
+    for topic in topics_of_host:
+        yield _topic(topic, topic.key(host), heard.get(topic.key(host)))
+
+
+def _topic(topic: topics.Topic, key: str, sample: zenoh.Sample | None) -> Finding:
+    """From there to here with the data itself: it comes, and we can read it."""
+    if sample is None:
+        return broken(f"hear {key}", f"nothing within {ANSWER_S:g} s", "`spotter health` says what its service lacks")
+    told, ours = str(sample.encoding), str(encoding_of(topic.message))
+    try:
+        decode(sample.payload.to_bytes(), topic.message, topic.max_bytes)
+    except DecodeError as error:
+        return broken(f"schema {key}", f"{told}: {error}", f"we read {ours}: one version on all hosts")
+    if told != ours:
+        return broken(f"schema {key}", f"it says {told}", f"we read {ours}: one version on all hosts")
+    return ok(f"hear {key}", f"{len(sample.payload)} bytes, {told.partition(';')[2]}")
 
 
 def _service(session: zenoh.Session, host: str, service: str) -> Iterator[Finding]:
@@ -113,16 +163,18 @@ def _seen_by_fusion(session: zenoh.Session, site: Site, host: str) -> Iterator[F
 
 def _rules(session: zenoh.Session, config: ZenohConfig) -> Finding:
     """Say something that no rule allows; nobody may hear it."""
-    listener = open_session(config, give_up_after_s=2.0)
+    listener, arrived = open_session(config, give_up_after_s=OPEN_S), threading.Event()
     try:
         key = f"doctor/{uuid.uuid4().hex[:8]}/probe"
-        heard = listener.declare_subscriber(key, zenoh.handlers.RingChannel(1))
-        session.put(key, b"nobody should hear this")
-        list(session.get("*/*/info", timeout=ANSWER_S))  # a round trip: what was to come has come
-        arrived = heard.try_recv() is not None
+        kept = listener.declare_subscriber(key, lambda _: arrived.set())
+        for _ in range(PROBES):  # the first ones may come before the router knows of the listener
+            session.put(key, b"nobody should hear this")
+            if arrived.wait(PROBE_S):
+                break
+        undeclare(kept)
     finally:
         close_session(listener)
-    if arrived:
+    if arrived.is_set():
         return broken(
             "access rules", "the router passes on what no rule allows", "start it with `spotter router --host`"
         )
@@ -139,6 +191,24 @@ def ask(session: zenoh.Session, key: str, kind: type[M], payload: bytes | None =
         except DecodeError:
             continue
     return None
+
+
+def first_messages(session: zenoh.Session, keys: list[str]) -> dict[str, zenoh.Sample]:
+    """The next message on each of these keys; without those that were silent for the budget."""
+    heard: dict[str, zenoh.Sample] = {}
+    complete = threading.Event()
+
+    def note(sample: zenoh.Sample) -> None:
+        heard.setdefault(str(sample.key_expr), sample)
+        if len(heard) == len(keys):
+            complete.set()
+
+    subscribers = [session.declare_subscriber(key, note) for key in keys]
+    if keys:
+        complete.wait(ANSWER_S)
+    for subscriber in subscribers:
+        undeclare(subscriber)
+    return heard
 
 
 def next_message(session: zenoh.Session, key: str, kind: type[M]) -> M | None:

@@ -23,6 +23,7 @@ from common.supervisor import Child
 LOW_DISK_BYTES, NO_DISK_BYTES = 2_000_000_000, 200_000_000
 SHOW_CONFIG_BUDGET_S = 30.0
 _TIME_ERROR = 5  # adjtimex(2): the clock is not synchronised
+_PROVIDERS = ("TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider")  # best first
 _PLACES = {"serial": "{target}", "v4l2": "/dev/video{target}", "spi": "/dev/spidev{target}"}
 
 
@@ -83,12 +84,12 @@ def check_ports(site: Site, host: str) -> Iterator[Finding]:
             )
 
 
-def check_machine(folder: Path) -> Iterator[Finding]:
+def check_machine(folder: Path, low_bytes: int = LOW_DISK_BYTES, none_bytes: int = NO_DISK_BYTES) -> Iterator[Finding]:
     """Disk, clock, versions."""
     free_bytes = shutil.disk_usage(folder).free
     told, do = f"{free_bytes / 1e9:.1f} GB free in {folder.absolute()}", "delete old recordings or attach a disk"
-    if free_bytes < LOW_DISK_BYTES:
-        yield (broken if free_bytes < NO_DISK_BYTES else warning)("disk", told, do)
+    if free_bytes < low_bytes:
+        yield (broken if free_bytes < none_bytes else warning)("disk", told, do)
     else:
         yield ok("disk", told)
     if _clock_synchronised():
@@ -99,16 +100,18 @@ def check_machine(folder: Path) -> Iterator[Finding]:
     yield ok("versions", f"{versions}, Python {platform.python_version()} on {platform.machine()}")
 
 
-def check_provider() -> Iterator[Finding]:
-    """What the camera's network would run on here."""
+def check_provider(machine: str = "") -> Iterator[Finding]:
+    """What the camera's network would run on here; ``machine`` as ``uname -m`` says it."""
+    machine = machine or platform.machine()
     if importlib.util.find_spec("onnxruntime") is None:
         return
     onnxruntime = importlib.import_module("onnxruntime")  # an extra of some hosts only
     available = onnxruntime.get_available_providers()
-    if ("arm" in platform.machine() or "aarch64" in platform.machine()) and available[0] == "CPUExecutionProvider":
+    in_use = next((name for name in _PROVIDERS if name in available), "none that we use")
+    if ("arm" in machine or "aarch64" in machine) and in_use == _PROVIDERS[-1]:
         yield warning("onnxruntime", "runs on the CPU only", "on a Jetson install NVIDIA's onnxruntime build")
         return
-    yield ok("onnxruntime", f"{onnxruntime.__version__}, first provider {available[0]}")
+    yield ok("onnxruntime", f"{onnxruntime.__version__}, networks run by {in_use}")
 
 
 def _clock_synchronised() -> bool:

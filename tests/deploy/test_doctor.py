@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+import os
 import shutil
 import socket
+import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -16,10 +18,12 @@ from typer.testing import CliRunner
 from common.cli.__main__ import app
 from common.doctor.certificates import check_certificate
 from common.doctor.findings import Finding
-from common.doctor.machine import check_device, check_machine, check_ports, check_services
+from common.doctor.machine import check_device, check_machine, check_ports, check_provider, check_services
 from common.security import authority
 from common.site import HostConfig, Site, TlsConfig
 from common.supervisor import Child
+
+NOBODY = 65534
 
 
 def grades(found: Iterable[Finding]) -> dict[str, str]:
@@ -123,8 +127,39 @@ def test_ports(free_ports: Callable[[], int]) -> None:
 
 
 def test_the_machine_is_looked_at(tmp_path: Path) -> None:
-    found = grades(check_machine(tmp_path))
+    found = grades(check_machine(tmp_path, low_bytes=0, none_bytes=0))
     assert set(found) == {"disk", "clock", "versions"}
+    assert found["disk"] == "ok"
+
+
+def test_a_disk_that_fills_up(tmp_path: Path) -> None:
+    free_bytes = shutil.disk_usage(tmp_path).free
+    assert grades(check_machine(tmp_path, low_bytes=2 * free_bytes, none_bytes=0))["disk"] == "warning"
+    assert grades(check_machine(tmp_path, low_bytes=2 * free_bytes, none_bytes=2 * free_bytes))["disk"] == "broken"
+
+
+def test_the_provider_of_the_networks_is_named_and_a_jetson_without_its_own_is_warned() -> None:
+    pytest.importorskip("onnxruntime")
+    assert grades(check_provider("x86_64")) == {"onnxruntime": "ok"}
+    assert grades(check_provider("aarch64")) == {"onnxruntime": "warning"}
+
+
+def test_a_device_of_somebody_else(tmp_path: Path) -> None:
+    """Root may open everything, so a child looks that has become somebody else."""
+    if os.geteuid() != 0:
+        pytest.skip("needs root to become somebody else")
+    shared = Path(tempfile.mkdtemp())
+    shared.chmod(0o755)
+    (shared / "tty").touch(mode=0o600)
+    child = os.fork()
+    if child == 0:
+        os.setgroups([])
+        os.setgid(NOBODY)
+        os.setuid(NOBODY)
+        os._exit(0 if grades(check_device("lidar", f"serial:{shared / 'tty'}")) == {"lidar device": "broken"} else 1)
+    _, status = os.waitpid(child, 0)
+    shutil.rmtree(shared)
+    assert status == 0
 
 
 def test_the_command_ends_with_1_when_something_is_broken(tmp_path: Path, free_ports: Callable[[], int]) -> None:
