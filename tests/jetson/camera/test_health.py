@@ -152,3 +152,26 @@ def test_a_real_video_of_a_room_is_neither_frozen_nor_covered(recordings: Callab
     for _ in range(150):
         assert not camera.shows(video.read()[1], noise=0).degraded
     video.release()
+
+
+@pytest.mark.slow
+def test_real_pictures_that_repeat_are_frozen(recordings: Callable[[str], Path]) -> None:
+    for picture in real_pictures(recordings("camera")):
+        camera = Camera()
+        assert not camera.shows(picture, 10).degraded
+        assert not camera.shows(picture, 15, noise=0).degraded  # less than a second
+        assert camera.shows(picture, 3, noise=0).reason.startswith("frozen: the same picture for 1.")
+        assert not camera.shows(picture, CONFIG.clear_frames).degraded
+
+
+def test_a_real_video_that_stops_is_frozen_until_it_goes_on(recordings: Callable[[str], Path]) -> None:
+    camera, video = Camera(), cv2.VideoCapture(str(recordings("camera") / "one-by-one-person-detection.mp4"))
+    for _ in range(20):
+        picture = video.read()[1]
+        assert not camera.shows(picture, noise=0).degraded
+    states = [camera.shows(picture, noise=0) for _ in range(30)]
+    assert [state.blind for state in states].index(True) in (13, 14)  # 15 a second; this video repeats some pictures
+    assert states[-1].reason.startswith("frozen")
+    moving = [camera.shows(video.read()[1], noise=0).degraded for _ in range(10)]
+    video.release()
+    assert not moving[-1]
