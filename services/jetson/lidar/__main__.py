@@ -9,7 +9,7 @@ from pathlib import Path
 import typer
 
 from common.clock import monotonic_s
-from common.launch import load_config, service_app
+from common.launch import flag_as_command, load_config, service_app
 from common.raw import RawTap
 from common.runtime import Service
 from common.status import Report
@@ -55,16 +55,8 @@ def plot(
         save(picture, draw(scan, pipeline.fate, zones, config))
 
 
-def plot_as_command(arguments: list[str]) -> list[str]:
-    """``--plot FILE`` among the options becomes the subcommand ``plot FILE`` behind them."""
-    if "--plot" not in arguments:
-        return arguments
-    at = arguments.index("--plot")
-    return arguments[:at] + arguments[at + 2 :] + ["plot", *arguments[at + 1 : at + 2]]
-
-
 def main() -> None:
-    app(args=plot_as_command(sys.argv[1:]))
+    app(args=flag_as_command(sys.argv[1:], "plot"))
 
 
 if __name__ == "__main__":

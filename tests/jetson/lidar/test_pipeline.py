@@ -17,7 +17,6 @@ from common.sim import ld06
 from common.sim.truth import LIDAR_BANDS_M, band, lidar_zones
 from common.sim.world import SCENARIOS, world_at
 from common.status import Report
-from services.jetson.lidar.__main__ import plot_as_command
 from services.jetson.lidar.config import LidarConfig, PersistenceSection
 from services.jetson.lidar.decoder import ScanDecoder
 from services.jetson.lidar.parser import PACKET_BYTES
@@ -152,11 +151,6 @@ def test_picture_shows_lanes_returns_and_words(scan_of: Callable[..., LaserScan]
     middle = picture.shape[1] / 2
     assert (zones.left.level, zones.right.level) == ("IMMINENT", "SAFE")
     assert np.count_nonzero(red[:, 1] < middle) > np.count_nonzero(red[:, 1] > middle)  # left is left here too
-
-
-def test_plot_option_is_the_plot_command() -> None:
-    assert plot_as_command(["--plot", "a.png", "--source", "sim:empty"]) == ["--source", "sim:empty", "plot", "a.png"]
-    assert plot_as_command(["--show-config"]) == ["--show-config"]
 
 
 @pytest.mark.slow
