@@ -119,6 +119,8 @@ class ViewMonitor:
         if changed or self._changed_ns is None:
             self._changed_ns = stamp_ns
         still_s = (stamp_ns - self._changed_ns) / 1e9
+        if self._frozen.raised and not changed and still_s <= self._config.frozen_after_s / 4:
+            return  # a video may hold a picture twice: that speaks neither for nor against
         text = f"the same picture for {still_s:.1f} s"
         frozen = 0 < self._config.frozen_after_s <= still_s
         self._frozen.update(frozen, changed, self._config.clear_frames, text)
