@@ -29,7 +29,8 @@ MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by: they can on
 class ClusterPoints:
     """Clusters of one frame in the level frame.
 
-    cluster_id: (N,) int32 per point of the frame, -1 = none. points: (M, 3) float32, grouped; cluster k has
+    cluster_id: (N,) int32 per point of the frame, -1 = none. points: (M, 3) float32, the transpose of a (3, M)
+    array, grouped; cluster k has
     points[offsets[k]:offsets[k + 1]]. box: (K, 8) float32: centre x, y, z, length, width, height, yaw, gap to the road.
     """
 
@@ -107,9 +108,11 @@ class Clustering:
         found = self._arrange(label, components, _Points(x, y, z, above, source), 0, self._fewest_points)
         if config.merge == "fragments":
             found = self._join(found)
-        found = self._filter(found)
+        good = self._possible(found)
         if config.trim_ground or config.split == "gap" or config.merge == "engulfed":
-            found = self._second_look(found)
+            found = self._second_look(found, good)
+        else:
+            found = self._regroup(found, np.where(good, np.arange(len(good)), -1))
         return self._result(frame, found)
 
     def _candidates(self, frame: Levelled) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
@@ -195,19 +198,20 @@ class Clustering:
         adoption.adopt_strays(found.box, np.diff(found.offsets), self._config.min_points, group)
         return self._regroup(found, group)
 
-    def _filter(self, found: _Grouped) -> _Grouped:
-        """Drop clusters of impossible size."""
+    def _possible(self, found: _Grouped) -> np.ndarray:
+        """(K,) bool: clusters of a possible size."""
         config, box, counts = self._config, found.box, np.diff(found.offsets)
         good = (counts >= config.min_points) & (counts <= config.max_points)
         good &= box[:, 5] <= config.max_height_m
         good &= box[:, 7] + box[:, 5] >= config.min_top_m
         good &= np.hypot(box[:, 3], box[:, 4]) <= config.max_diagonal_m
-        return self._regroup(found, np.where(good, np.arange(len(good)), -1))
+        return np.asarray(good)
 
-    def _second_look(self, found: _Grouped) -> _Grouped:
-        """The article's trim, split and merge."""
+    def _second_look(self, found: _Grouped, good: np.ndarray) -> _Grouped:
+        """The article's trim, split and merge of those clusters that are ``good``."""
         config, count = self._config, len(found.box)
-        label = np.repeat(np.arange(count, dtype=np.int32), np.diff(found.offsets))
+        number = np.where(good, np.arange(count, dtype=np.int32), np.int32(-1))
+        label = np.repeat(number, np.diff(found.offsets))
         p = found.points
         if config.trim_ground:
             splitting.trim_feet(p.z, found.box, found.offsets, label)
@@ -222,9 +226,9 @@ class Clustering:
 
     def _result(self, frame: Levelled, found: _Grouped) -> ClusterPoints:
         cluster_id = self._buffers.take("cluster_id", len(frame.x), np.int32)
-        p, points = found.points, np.empty((int(found.offsets[-1]), 3), np.float32)
-        clusters.write_ids(p.source, found.offsets, p.x, p.y, p.z, cluster_id, points)
-        return ClusterPoints(cluster_id, points, found.offsets, found.box)
+        p = found.points
+        clusters.write_ids(p.source, found.offsets, cluster_id)
+        return ClusterPoints(cluster_id, np.stack([p.x, p.y, p.z]).T, found.offsets, found.box)
 
 
 def _measured(points: _Points, offsets: np.ndarray) -> np.ndarray:

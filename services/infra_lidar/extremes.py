@@ -1,4 +1,4 @@
-"""Smallest and largest of many floats, vectorised.
+"""Smallest, largest and k-th smallest of many floats, vectorised.
 
 The compiler keeps the order of float comparisons (of zeros and of what is no number), so such a loop takes one value at
 a time. Read as integers, with the lower bits of negative ones turned over, floats have the same order, and a loop over
@@ -53,3 +53,31 @@ def chosen_extent(values, group, which):  # type: ignore[no-untyped-def]
     for i in range(len(values)):
         high = np.int32(max(high, ordered(values[i]) if group[i] == wanted else least))
     return number, (unordered(high) - unordered(low)) if number > 0 else np.float32(0.0)
+
+
+@kernel
+def smallest_but(values, rank):  # type: ignore[no-untyped-def]
+    """The value with exactly ``rank`` others before it in rising order, of (n,) float32.
+
+    256 bins are counted, and only the bin that holds the rank is sorted.
+    """
+    low, high = low_high(values)
+    n = len(values)
+    scale = np.float32(255.0) / (high - low) if high > low else np.float32(0.0)
+    bins, count = np.empty(n, np.uint8), np.zeros(256, np.int32)
+    for i in range(n):
+        bins[i] = np.uint8(min(np.int32((values[i] - low) * scale), np.int32(255)))
+    for i in range(n):
+        count[bins[i]] += 1
+    wanted, before = 0, 0
+    while before + count[wanted] <= rank:
+        before += count[wanted]
+        wanted += 1
+    held, m = np.empty(count[wanted] + 1, np.float32), 0
+    for i in range(n):
+        if bins[i] == wanted:
+            held[m] = values[i]
+            m += 1
+    held = held[:m]
+    held.sort()
+    return held[rank - before]

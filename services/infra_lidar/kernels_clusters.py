@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from services.infra_lidar.extremes import LARGEST, SMALLEST, low_high, ordered, unordered
 from services.infra_lidar.jit import kernel, sum_kernel
 
 
@@ -13,7 +14,7 @@ def count_labels(label, counts):  # type: ignore[no-untyped-def]
     counts[:] = 0
     for i in range(label.shape[0]):
         if label[i] >= 0:
-            counts[label[i]] += 1
+            counts[np.uint32(label[i])] += 1
 
 
 @kernel
@@ -22,14 +23,14 @@ def arrange(label, number, offsets, x, y, z, above, source, ax, ay, az, aa, asou
 
     offsets (K + 1,) int64 is where each cluster begins.
     """
-    slot = offsets[:-1].copy()
+    slot = offsets[:-1].astype(np.uint32)  # unsigned indices need no check for a negative one
     for i in range(label.shape[0]):
         if label[i] >= 0:
-            k = number[label[i]]
+            k = number[np.uint32(label[i])]
             if k >= 0:
-                j = slot[k]
+                j = slot[np.uint32(k)]
                 ax[j], ay[j], az[j], aa[j], asource[j] = x[i], y[i], z[i], above[i], source[i]
-                slot[k] = j + 1
+                slot[np.uint32(k)] = j + np.uint32(1)
 
 
 @sum_kernel
@@ -47,22 +48,15 @@ def _moments(x, y):  # type: ignore[no-untyped-def]
     return sx, sy, sxx, sxy, syy
 
 
-@sum_kernel
+@kernel
 def _extent_along(x, y, x0, y0, c, s):  # type: ignore[no-untyped-def]
     """Smallest and largest c (x - x0) + s (y - y0)."""
-    low, high = np.float32(np.inf), np.float32(-np.inf)
+    low, high = LARGEST, SMALLEST
     for i in range(len(x)):
-        u = c * (x[i] - x0) + s * (y[i] - y0)
-        low, high = min(low, u), max(high, u)
-    return low, high
-
-
-@sum_kernel
-def _low_high(a):  # type: ignore[no-untyped-def]
-    low, high = np.float32(np.inf), np.float32(-np.inf)
-    for i in range(len(a)):
-        low, high = min(low, a[i]), max(high, a[i])
-    return low, high
+        low = np.int32(min(low, ordered(c * (x[i] - x0) + s * (y[i] - y0))))
+    for i in range(len(x)):
+        high = np.int32(max(high, ordered(c * (x[i] - x0) + s * (y[i] - y0))))
+    return unordered(low), unordered(high)
 
 
 @kernel
@@ -90,8 +84,8 @@ def measure(x, y, z, above, offsets, box):  # type: ignore[no-untyped-def]
         c, s = np.float32(np.cos(yaw)), np.float32(np.sin(yaw))
         u0, u1 = _extent_along(bx, by, bx[0], by[0], c, s)
         v0, v1 = _extent_along(bx, by, bx[0], by[0], -s, c)
-        w0, w1 = _low_high(z[first:last])
-        a0, _ = _low_high(above[first:last])
+        w0, w1 = low_high(z[first:last])
+        a0, _ = low_high(above[first:last])
         u, v = (u0 + u1) * np.float32(0.5), (v0 + v1) * np.float32(0.5)
         box[k, 0] = bx[0] + c * u - s * v
         box[k, 1] = by[0] + s * u + c * v
@@ -145,10 +139,9 @@ def drop_high_of_low(label, low, tall):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def write_ids(source, offsets, x, y, z, cluster_id, points):  # type: ignore[no-untyped-def]
-    """cluster_id (N,) of the frame and points (M, 3), from points that lie together by cluster."""
+def write_ids(source, offsets, cluster_id):  # type: ignore[no-untyped-def]
+    """cluster_id (N,) of the frame, from the index of points that lie together by cluster."""
     cluster_id[:] = -1
     for k in range(offsets.shape[0] - 1):
         for i in range(offsets[k], offsets[k + 1]):
-            cluster_id[source[i]] = k
-            points[i, 0], points[i, 1], points[i, 2] = x[i], y[i], z[i]
+            cluster_id[np.uint32(source[i])] = k

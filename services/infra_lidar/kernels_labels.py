@@ -54,11 +54,15 @@ def occupy(row, column, once, twice):  # type: ignore[no-untyped-def]
     """Set the bits of cells that hold one point or more, and of those that hold two or more."""
     once[:] = 0
     twice[:] = 0
+    ones, twos, words = once.reshape(once.size), twice.reshape(twice.size), np.uint32(once.shape[1])
     for i in range(row.shape[0]):
-        word, bit = column[i] >> 6, ONE << np.uint64(column[i] & 63)
-        seen = once[row[i], word]
-        twice[row[i], word] |= seen & bit
-        once[row[i], word] = seen | bit
+        at = np.uint32(np.uint32(row[i]) * words + (np.uint32(column[i]) >> np.uint32(6)))
+        bit = ONE << np.uint64(column[i] & 63)
+        seen = ones[at]
+        if seen & bit:
+            twos[at] |= bit
+        else:
+            ones[at] = seen | bit
 
 
 @kernel
@@ -136,12 +140,14 @@ def number_components(parent, runs):  # type: ignore[no-untyped-def]
 @kernel
 def point_labels(row, column, bits, starts, rank, parent, label):  # type: ignore[no-untyped-def]
     """Component of each point's cell, -1 where the cell is not occupied enough."""
+    words = np.uint32(bits.shape[1])
+    all_bits, all_starts, all_ranks = bits.reshape(bits.size), starts.reshape(starts.size), rank.reshape(rank.size)
     for i in range(row.shape[0]):
-        r, w = row[i], column[i] >> 6
+        at = np.uint32(np.uint32(row[i]) * words + (np.uint32(column[i]) >> np.uint32(6)))
         bit = ONE << np.uint64(column[i] & 63)
-        if bits[r, w] & bit:
-            upto = starts[r, w] & ((bit - ONE) | bit)
-            label[i] = parent[rank[r, w] + _popcount(upto) - 1]
+        if all_bits[at] & bit:
+            upto = all_starts[at] & ((bit - ONE) | bit)
+            label[i] = parent[np.uint32(all_ranks[at] + _popcount(upto) - 1)]
         else:
             label[i] = -1
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inline, kernel, sum_kernel
+from services.infra_lidar.extremes import low_high, ordered, smallest_but, unordered
+from services.infra_lidar.jit import inline, kernel
 
 BINS = 30  # edges along the main axis
 GAP_SHARE = 0.2  # a bin with less than this share of the mean is a gap
@@ -15,17 +16,23 @@ TRIM_ABOVE_ROAD_M, TRIM_MIN_HEIGHT_M, TRIM_SHARE = 0.25, 0.5, 0.05
 def trim_feet(z, box, offsets, label):  # type: ignore[no-untyped-def]
     """Take the lowest twentieth off clusters that stand on the road: it is road. Their label becomes -1.
 
+    Clusters whose points are labelled -1 already are left alone.
+
     Points of cluster k lie together from offsets[k] on. As in the article the road is that of the calibration, z = 0.
     """
     for k in range(offsets.shape[0] - 1):
         first, last = offsets[k], offsets[k + 1]
-        if box[k, 2] - 0.5 * box[k, 5] >= TRIM_ABOVE_ROAD_M or box[k, 5] <= TRIM_MIN_HEIGHT_M:
+        dropped = label[first] < 0
+        if dropped or box[k, 2] - 0.5 * box[k, 5] >= TRIM_ABOVE_ROAD_M or box[k, 5] <= TRIM_MIN_HEIGHT_M:
             continue
-        rank = int(TRIM_SHARE * (last - first))
-        limit = np.partition(z[first:last], rank)[rank]
-        for i in range(first, last):
-            if z[i] <= limit:
-                label[i] = -1
+        limit = smallest_but(z[first:last], int(TRIM_SHARE * (last - first)))
+        _drop_low(z[first:last], limit, label[first:last])
+
+
+@kernel
+def _drop_low(z, limit, label):  # type: ignore[no-untyped-def]
+    for i in range(len(z)):
+        label[i] = label[i] if z[i] > limit else np.int32(-1)
 
 
 @inline
@@ -82,12 +89,11 @@ def split_rows(x, y, z, offsets, label):  # type: ignore[no-untyped-def]
     """
     total = offsets.shape[0] - 1
     for k in range(offsets.shape[0] - 1):
-        if offsets[k + 1] - offsets[k] <= 150:
+        first, last = offsets[k], offsets[k + 1]
+        if last - first <= 150 or not _is_row(z[first:last], label[first:last]):
             continue
-        members = np.arange(offsets[k], offsets[k + 1])
+        members = np.arange(first, last)
         members = members[label[members] >= 0]
-        if not _is_row(z, members):
-            continue
         linearity, axis, along = _main_axis(x, y, z, members)
         if linearity > 0.3 and abs(axis[2]) <= 0.5:
             total = _split(x, y, z, members, _pieces(along), label, total)
@@ -95,11 +101,17 @@ def split_rows(x, y, z, offsets, label):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _is_row(z, members):  # type: ignore[no-untyped-def]
-    if len(members) <= 150 or len(members) > 2000:
-        return False
-    heights = z[members]
-    return 1.0 <= heights.max() - heights.min() <= 2.2
+def _is_row(z, label):  # type: ignore[no-untyped-def]
+    """Number and height of the points that were not trimmed are those of some people side by side."""
+    number, none_low, none_high = np.int32(0), np.int32(2**31 - 1), np.int32(-(2**31) + 1)
+    low, high = none_low, none_high
+    for i in range(len(z)):
+        number += np.int32(label[i] >= 0)
+    for i in range(len(z)):
+        low = np.int32(min(low, ordered(z[i]) if label[i] >= 0 else none_low))
+    for i in range(len(z)):
+        high = np.int32(max(high, ordered(z[i]) if label[i] >= 0 else none_high))
+    return 150 < number <= 2000 and 1.0 <= unordered(high) - unordered(low) <= 2.2
 
 
 @kernel
@@ -154,9 +166,9 @@ def join_engulfed(x, y, z, offsets, group):  # type: ignore[no-untyped-def]
     box = np.empty((total, 6), np.float32)
     for k in range(total):
         first, last = offsets[k], offsets[k + 1]
-        box[k, 0], box[k, 3] = _low_high(x[first:last])
-        box[k, 1], box[k, 4] = _low_high(y[first:last])
-        box[k, 2], box[k, 5] = _low_high(z[first:last])
+        box[k, 0], box[k, 3] = low_high(x[first:last])
+        box[k, 1], box[k, 4] = low_high(y[first:last])
+        box[k, 2], box[k, 5] = low_high(z[first:last])
     for b in range(total):
         group[b] = b
         for a in range(total):
@@ -171,11 +183,3 @@ def join_engulfed(x, y, z, offsets, group):  # type: ignore[no-untyped-def]
     for b in range(total):
         while group[group[b]] != group[b]:
             group[b] = group[group[b]]
-
-
-@sum_kernel
-def _low_high(a):  # type: ignore[no-untyped-def]
-    low, high = np.float32(np.inf), np.float32(-np.inf)
-    for i in range(len(a)):
-        low, high = min(low, a[i]), max(high, a[i])
-    return low, high
