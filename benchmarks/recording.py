@@ -24,6 +24,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
+from mcap.reader import make_reader
 
 from common.clock import utc_ns
 from common.codec import decode, encode
@@ -62,7 +63,8 @@ def record(folder: Path, endpoint: str, seconds: float) -> Path:
     path = Path(told["file"])
     summary = summarise(path)
     rates = Counter({key.partition("/")[2]: count / summary.duration_s for key, count in summary.counts.items()})
-    print(f"{summary.duration_s:.0f} s, {told['messages']} messages, dropped {told['dropped']}")
+    lost = ", ".join(f"{key} {count}" for key, count in dropped_by_key(path).items())
+    print(f"{summary.duration_s:.0f} s, {told['messages']} messages, dropped {told['dropped']} {lost}")
     print(
         "a second: " + ", ".join(f"{name} {rate:.1f}" for name, rate in sorted(rates.items()) if "status" not in name)
     )
@@ -72,6 +74,14 @@ def record(folder: Path, endpoint: str, seconds: float) -> Path:
     )
     print(f"recorder's CPU share {share:.1%} of one core, load of the machine {os.getloadavg()[0]:.1f}")
     return path
+
+
+def dropped_by_key(path: Path) -> dict[str, int]:
+    """The recorder's own count inside the file, by topic."""
+    with path.open("rb") as stream:
+        last = [message.data for _, _, message in make_reader(stream).iter_messages(topics=["/recorder/status"])][-1]
+    counts: dict[str, int] = json.loads(last)["dropped_by_key"]
+    return counts
 
 
 def killed(folder: Path, endpoint: str) -> float:

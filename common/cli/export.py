@@ -64,16 +64,17 @@ def _counted(table: Iterator[Row], counts: Counter[str]) -> Iterator[Row]:
 
 def _rows(file: Path, chosen: tuple[str, ...]) -> Iterator[Row]:
     try:
-        from common.recording.reader import RecordingError, read
+        from common.recording.reader import RecordingError, expected_messages, read
     except ImportError as error:
         fail(f"exporting needs the extra `laptop`: {error}")
     if not file.is_file():
         fail(f"{file}: no such file", code=2)
     progress, first_ns, undecodable = Progress(), 0, 0
     try:
-        for recorded in read(file):
+        of = expected_messages(file)
+        for done, recorded in enumerate(read(file)):
             first_ns = first_ns or recorded.log_ns
-            progress.tell(f"{(recorded.log_ns - first_ns) / 1e9:8.1f} s")
+            progress.share(done, of, f"{(recorded.log_ns - first_ns) / 1e9:.0f} s")
             topic = find_topic(recorded.key)
             if topic is None:
                 continue

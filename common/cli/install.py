@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from common.cli.connect import AsJson
 from common.cli.fail import fail
 from common.cli.site_option import SiteFile, read_site
 from common.config import ConfigError
@@ -23,6 +25,7 @@ def install(
     site_file: SiteFile = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the units, write nothing.")] = False,
     to: Annotated[Path, typer.Option("--to", help="Folder for the units.")] = UNITS,
+    as_json: AsJson = False,
 ) -> None:
     """Write hardened units for this host's router and services, and the user they run as."""
     site, _ = read_site(site_file)
@@ -33,8 +36,8 @@ def install(
     except ConfigError as error:
         fail(str(error), code=2)
     if dry_run:
-        for name, text in files.items():
-            print(f"# {to / name}\n{text}")
+        shown = {str(to / name): text for name, text in files.items()}
+        print(json.dumps(shown) if as_json else "\n".join(f"# {path}\n{text}" for path, text in shown.items()))
         return
     try:
         to.mkdir(parents=True, exist_ok=True)
@@ -44,9 +47,13 @@ def install(
             USERS.write_text(SYSUSERS)
     except PermissionError as error:
         fail(f"{error.filename}: not writable by this user; run it with sudo")
-    print("\n".join(f"wrote {to / name}" for name in files))
+    if not as_json:
+        print("\n".join(f"wrote {to / name}" for name in files))
     if to == UNITS:
         _activate()
+    if as_json:
+        print(json.dumps({"wrote": [str(to / name) for name in files]}))
+        return
     print("next: chown -R spotter: /etc/spotter/keys && systemctl enable --now spotter.target " + " ".join(files))
 
 

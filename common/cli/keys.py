@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tarfile
 from pathlib import Path
 from types import ModuleType
@@ -9,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from common.cli.connect import AsJson
 from common.cli.fail import fail
 from common.cli.site_option import SiteFile, read_site
 from common.config import ConfigError
@@ -21,7 +23,7 @@ Days = Annotated[int | None, typer.Option("--days", min=1, max=3650, help="Lifet
 
 
 @keys.command()
-def init(site_file: SiteFile = None) -> None:
+def init(site_file: SiteFile = None, as_json: AsJson = False) -> None:
     """Make the site's authority. Its key never leaves this machine."""
     site, folder = read_site(site_file)
     authority = _authority()
@@ -29,11 +31,11 @@ def init(site_file: SiteFile = None) -> None:
         path = authority.init(folder, site.namespace)
     except ConfigError as error:
         fail(str(error))
-    print(f"{path}: the site's authority; keep {path.with_suffix('.key')} here and safe")
+    _say(as_json, f"{path}: the site's authority; keep {path.with_suffix('.key')} here and safe", file=str(path))
 
 
 @keys.command()
-def host(name: NameArgument, site_file: SiteFile = None, days: Days = None) -> None:
+def host(name: NameArgument, site_file: SiteFile = None, days: Days = None, as_json: AsJson = False) -> None:
     """Issue the certificate of a host in site.toml."""
     site, folder = read_site(site_file)
     try:
@@ -41,11 +43,11 @@ def host(name: NameArgument, site_file: SiteFile = None, days: Days = None) -> N
         path = _authority().issue(folder, name, "host", tuple(filter(None, (own.address, own.listen))), days)
     except ConfigError as error:
         fail(str(error))
-    _issued(folder, name, path, f"copy it to {name} with `spotter keys bundle {name}`", site)
+    _issued(folder, name, path, f"copy it to {name} with `spotter keys bundle {name}`", site, as_json)
 
 
 @keys.command()
-def laptop(name: NameArgument, site_file: SiteFile = None, days: Days = None) -> None:
+def laptop(name: NameArgument, site_file: SiteFile = None, days: Days = None, as_json: AsJson = False) -> None:
     """Issue a certificate for a laptop: it may listen and ask, never speak."""
     site, folder = read_site(site_file)
     if name in site.hosts:
@@ -54,45 +56,47 @@ def laptop(name: NameArgument, site_file: SiteFile = None, days: Days = None) ->
         path = _authority().issue(folder, name, "laptop", (), days)
     except ConfigError as error:
         fail(str(error))
-    _issued(folder, name, path, f"on the laptop: SPOTTER_CERTIFICATE=keys/{path.name}", site)
+    _issued(folder, name, path, f"on the laptop: SPOTTER_CERTIFICATE=keys/{path.name}", site, as_json)
 
 
 @keys.command("all")
 def all_missing(
     laptops: Annotated[list[str] | None, typer.Argument(help="Laptops that shall have a certificate as well.")] = None,
     site_file: SiteFile = None,
+    as_json: AsJson = False,
 ) -> None:
     """Make whatever is missing: the authority, a certificate for each host of the site, and for these laptops."""
     site, folder = read_site(site_file)
     if not (folder / "ca.key").exists():
-        init(site_file)
+        init(site_file, as_json)
     for name in site.hosts:
         if not (folder / f"{name}.crt").exists():
-            host(name, site_file)
+            host(name, site_file, None, as_json)
     for name in laptops or []:
         if not (folder / f"{name}.crt").exists():
-            laptop(name, site_file)
+            laptop(name, site_file, None, as_json)
 
 
 @keys.command()
-def revoke(name: NameArgument, site_file: SiteFile = None) -> None:
+def revoke(name: NameArgument, site_file: SiteFile = None, as_json: AsJson = False) -> None:
     """Take a name out of every allow list; the routers follow when they are restarted."""
     site, folder = read_site(site_file)
     try:
         gone = _authority().revoke(folder, name)
     except ConfigError as error:
         fail(str(error))
-    print(f"{gone} is revoked: no router will listen to it any more")
-    _tell_restart(folder, site)
+    _say(as_json, f"{gone} is revoked: no router will listen to it any more; {_restart(folder, site)}", revoked=gone)
 
 
 @keys.command("list")
-def list_names(site_file: SiteFile = None) -> None:
+def list_names(site_file: SiteFile = None, as_json: AsJson = False) -> None:
     """Who has a certificate, until when, and who is revoked."""
     _, folder = read_site(site_file)
     for name, entry in read_names(folder).names.items():
         state = "allowed" if entry.allowed(name) else "revoked"
-        print(f"{name:<16} {entry.kind:<7} {state:<8} CN={entry.common_name(name):<16} until {entry.expires}")
+        common_name, until = entry.common_name(name), str(entry.expires)
+        text = f"{name:<16} {entry.kind:<7} {state:<8} CN={common_name:<16} until {until}"
+        _say(as_json, text, name=name, kind=entry.kind, state=state, common_name=common_name, expires=until)
 
 
 @keys.command()
@@ -100,6 +104,7 @@ def bundle(
     name: NameArgument,
     site_file: SiteFile = None,
     out: Annotated[Path | None, typer.Option("--out", help="Default NAME.tar here.")] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Pack what one host or laptop needs: site.toml, its key pair, the authority's certificate, the names."""
     site, folder = read_site(site_file)
@@ -115,7 +120,7 @@ def bundle(
             archive.add(path, f"{site.tls.keys}/{path.name}")
         if site_file is not None:
             archive.add(site_file, "site.toml")
-    print(f"{target}: unpack it on {name} in /etc/spotter; it holds a private key")
+    _say(as_json, f"{target}: unpack it on {name} in /etc/spotter; it holds a private key", file=str(target))
 
 
 def _authority() -> ModuleType:
@@ -127,12 +132,16 @@ def _authority() -> ModuleType:
     return authority
 
 
-def _issued(folder: Path, name: str, path: Path, then: str, site: Site) -> None:
+def _issued(folder: Path, name: str, path: Path, then: str, site: Site, as_json: bool) -> None:
     entry = read_names(folder).names[name]
-    print(f"{path}: CN={entry.common_name(name)}, until {entry.expires}; {then}")
-    _tell_restart(folder, site)
+    common_name, until = entry.common_name(name), str(entry.expires)
+    text = f"{path}: CN={common_name}, until {until}; {then}\n{_restart(folder, site)}"
+    _say(as_json, text, file=str(path), name=name, common_name=common_name, expires=until)
 
 
-def _tell_restart(folder: Path, site: Site) -> None:
-    routers = ", ".join(site.hosts)
-    print(f"now copy {folder / FILE} to every host and restart the routers of {routers}")
+def _restart(folder: Path, site: Site) -> str:
+    return f"now copy {folder / FILE} to every host and restart the routers of {', '.join(site.hosts)}"
+
+
+def _say(as_json: bool, text: str, **facts: str) -> None:
+    print(json.dumps(facts) if as_json else text)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from common.cli.connect import DEFAULT_ENDPOINT, Connect, Namespace, bus
+from common.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespace, bus
 from common.cli.fail import fail
 from common.cli.progress import Progress
 
@@ -20,6 +21,7 @@ def plot(
     end: Annotated[float, typer.Option("--to", help="... and end here; 0 = its end.")] = 0.0,
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "spotter",
+    as_json: AsJson = False,
 ) -> None:
     """Wait for one message of a key and draw it; or draw what happened in a recording."""
     try:
@@ -33,7 +35,7 @@ def plot(
             _plot_live(what, out, timeout, connect, namespace)
     except (ValueError, OSError) as error:
         fail(str(error))
-    print(out)
+    print(json.dumps({"file": str(out)}) if as_json else out)
 
 
 def _plot_live(key: str, out: Path, timeout_s: float, connect: str, namespace: str) -> None:
@@ -73,11 +75,11 @@ def _one_message(session: Any, key: str, timeout_s: float) -> tuple[str, Any]:
 def _plot_recording(file: Path, out: Path, start_s: float, end_s: float) -> None:
     from common.codec import DecodeError, decode
     from common.plots.story import Story, plot_story
-    from common.recording.reader import read
+    from common.recording.reader import expected_messages, read
     from common.topics import find_topic
 
-    story, progress, first_ns = Story(), Progress(), 0
-    for recorded in read(file):
+    story, progress, first_ns, of = Story(), Progress(), 0, expected_messages(file)
+    for done, recorded in enumerate(read(file)):
         first_ns = first_ns or recorded.log_ns
         at_s = (recorded.log_ns - first_ns) / 1e9
         topic = find_topic(recorded.key)
@@ -85,7 +87,7 @@ def _plot_recording(file: Path, out: Path, start_s: float, end_s: float) -> None
             continue
         if end_s and at_s > end_s:
             break
-        progress.tell(f"{at_s:8.1f} s")
+        progress.share(done, of, f"{at_s:.0f} s")
         try:
             story.tell(at_s - start_s, decode(recorded.payload, topic.message, topic.max_bytes))
         except DecodeError:
