@@ -30,12 +30,20 @@ START_S = 120.0
 COLOURS = 256  # of a picture's palette: the page has few, its camera picture survives
 ALARM = "['CAUTION', 'IMMINENT'].includes(document.getElementById('level').textContent)"
 ALL_THERE = "document.querySelectorAll('#services tr').length >= 6 && !document.getElementById('camera').hidden"
+RECORDED = "document.getElementById('recording').textContent.includes('Recording on')"
 GREEN = "document.getElementById('health').className == 'health green'"
 ALL_SEE = "[...document.querySelectorAll('#sensors tr')].every((row) => row.cells[1].textContent == 'online')"
 STATE = (
     "[...document.querySelectorAll('#sensors tr')].some((row) => "
-    "row.innerText.startsWith('{sensor}') && row.innerText.includes('{state}'))"
+    "row.cells[0].textContent == '{sensor}' && row.cells[1].textContent.startsWith('{state}'))"
 )
+
+
+def only(**states: str) -> str:
+    """The page shows these sensors in these states, and the others of the vehicle online."""
+    wanted = {"lidar": "online", "radar": "online", "camera": "online"} | states
+    return " && ".join(STATE.format(sensor=sensor, state=state) for sensor, state in wanted.items())
+
 
 # File, what is waited for, how much of the page from its top.
 OF_CROSSING = (
@@ -44,10 +52,13 @@ OF_CROSSING = (
     ("verdict-imminent", "document.getElementById('level').textContent == 'IMMINENT' && " + GREEN, 640),
 )
 OF_FAULTS = (
-    ("lidar-degraded", STATE.format(sensor="lidar", state="degraded since"), 640),
-    ("lidar-disconnected", STATE.format(sensor="lidar", state="disconnected since"), 640),
-    ("camera-degraded", STATE.format(sensor="camera", state="degraded since"), 640),
-    ("camera-disconnected", STATE.format(sensor="camera", state="disconnected since"), 640),
+    ("lidar-degraded", only(lidar="degraded since"), 640),
+    ("lidar-disconnected", only(lidar="disconnected since"), 640),
+    ("camera-degraded", only(camera="degraded since"), 640),
+    ("camera-disconnected", only(camera="disconnected since"), 640),
+    ("radar-disconnected", only(radar="disconnected since"), 640),
+    ("two-degraded", only(lidar="degraded since", camera="degraded since"), 640),
+    ("blind", only(lidar="degraded since", camera="degraded since", radar="disconnected since"), 640),
 )
 
 
@@ -65,9 +76,9 @@ def main() -> None:
 
 
 def crossing(browser: Browser) -> None:
-    with demo("crossing") as (process, url):
+    with demo("crossing") as (process, url, endpoint), recorder(endpoint):
         browser.open(url, WIDTH, HEIGHT, dark=True)
-        browser.wait(f"{ALL_THERE} && {GREEN}", START_S)
+        browser.wait(f"{ALL_THERE} && {GREEN} && {RECORDED}", START_S)
         browser.wait(f"{ALARM} && {ALL_SEE} && document.querySelectorAll('#ttc div').length > 0", START_S)
         take(browser, DOCS / "dashboard.png", HEIGHT, 1.0)
         photograph(browser, OF_CROSSING)
@@ -82,7 +93,7 @@ def crossing(browser: Browser) -> None:
 
 
 def faults(browser: Browser) -> None:
-    with demo("faults") as (_, url):
+    with demo("faults") as (_, url, _):
         browser.open(url, WIDTH, HEIGHT, dark=True)
         browser.wait(ALL_THERE, START_S)
         photograph(browser, OF_FAULTS)
@@ -104,12 +115,12 @@ def take(browser: Browser, path: Path, height: int, scale: float, width: int = W
 
 
 @contextmanager
-def demo(scenario: str) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """The whole demo as a process, and its dashboard's address."""
-    port = free_port()
+def demo(scenario: str) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
+    """The whole demo as a process, its dashboard's address and its router's endpoint."""
+    port, endpoint = free_port(), f"tcp/127.0.0.1:{free_port()}"
     command = [
         str(Path(sys.executable).with_name("spotter")), "demo", "--scenario", scenario, "--port", str(port),
-        "--listen", f"tcp/127.0.0.1:{free_port()}",
+        "--listen", endpoint,
     ]  # fmt: skip
     with subprocess.Popen(command, stderr=subprocess.PIPE, env=os.environ) as process:
         assert process.stderr is not None
@@ -120,9 +131,20 @@ def demo(scenario: str) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
             else:
                 raise SystemExit(f"the demo `{scenario}` ended before it was up")
             threading.Thread(target=process.stderr.read, daemon=True).start()
-            yield process, f"http://127.0.0.1:{port}"
+            yield process, f"http://127.0.0.1:{port}", endpoint
         finally:
             process.send_signal(signal.SIGINT)
+
+
+@contextmanager
+def recorder(endpoint: str) -> Iterator[None]:
+    """`spotter record` beside it, which the page tells."""
+    spotter = str(Path(sys.executable).with_name("spotter"))
+    with tempfile.TemporaryDirectory() as folder:
+        command = [spotter, "record", folder, "--host", "laptop1", "--connect", endpoint, "--json"]
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+            yield
+            process.terminate()
 
 
 def free_port() -> int:

@@ -17,10 +17,10 @@ export function drawTimeline(verdicts, level) {
     const from = Math.max(0, x(verdict.stamp_ns / 1e6));
     const to = next ? x(next.stamp_ns / 1e6) : level === "none" ? from : width;
     if (to <= 0) return;
-    const tall = HEIGHT[verdict.level] * (height - 14);
+    const tall = HEIGHT[verdict.level] * (height - 20);
     pen.fillStyle = colour(verdict.level.toLowerCase());
     pen.fillRect(from, height - tall, Math.max(1, to - from), tall);
   });
   pen.fillStyle = colour("soft");
-  for (let ago = scale.step; ago < scale.span; ago += scale.step) pen.fillText(scale.name(ago), x(now - ago) + 3, 11);
+  for (let ago = scale.step; ago < scale.span; ago += scale.step) pen.fillText(scale.name(ago), x(now - ago) + 3, 14);
 }
