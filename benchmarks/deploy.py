@@ -22,24 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.lab import (
-    BEHIND,
-    DELAY_S,
-    FAULTS,
-    HOSTS,
-    LOSS,
-    MBIT_S,
-    SERVICES,
-    Ear,
-    Noticed,
-    all_online,
-    broken,
-    is_verdict,
-    kill_router,
-    make_site,
-    state,
-    up,
-)
+from benchmarks import lab as site
 from common.clock import monotonic_s
 from common.drill.namespaces import Lab, missing
 
@@ -49,9 +32,9 @@ STAGGER_S = 1.0
 KILLED_S = 0.3  # from the kill to when it has surely been noticed
 SAID = {
     "cut": "cut silently",
-    "delay": f"{DELAY_S * 1e3:.0f} ms more each way",
-    "loss": f"{LOSS:.0%} loss each way",
-    "throttle": f"{MBIT_S:.0f} Mbit/s",
+    "delay": f"{site.DELAY_S * 1e3:.0f} ms more each way",
+    "loss": f"{site.LOSS:.0%} loss each way",
+    "throttle": f"{site.MBIT_S:.0f} Mbit/s",
 }
 
 
@@ -60,23 +43,23 @@ class Bench:
 
     def __init__(self, stack: ExitStack) -> None:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        self.lab = stack.enter_context(Lab(HOSTS, folder))
-        make_site(self.lab)
-        self.vehicle, self.laptop = Ear(self.lab, "jetson0"), Ear(self.lab, "laptop1")
+        self.lab = stack.enter_context(Lab(site.HOSTS, folder))
+        site.make_site(self.lab)
+        self.vehicle, self.laptop = site.Ear(self.lab, "jetson0"), site.Ear(self.lab, "laptop1")
         for ear in (self.vehicle, self.laptop):
             stack.callback(ear.close)
 
-    def boot(self, order: Iterable[str] = SERVICES, stagger_s: float = 0.0, scenario: str = "empty") -> float:
+    def boot(self, order: Iterable[str] = site.SERVICES, stagger_s: float = 0.0, scenario: str = "empty") -> float:
         """Start the hosts in this order; returns the seconds from the first one to everything online at the laptop."""
         begun_s = monotonic_s()
         for host in order:
-            up(self.lab, host, scenario)
+            site.up(self.lab, host, scenario)
             time.sleep(stagger_s)
-        return self.laptop.wait(all_online, begun_s, 150.0) - begun_s
+        return self.laptop.wait(site.all_online, begun_s, 150.0) - begun_s
 
     def stop(self) -> None:
         """Switch every host off."""
-        self.lab.stop(*SERVICES)
+        self.lab.stop(*site.SERVICES)
 
 
 def main() -> None:
@@ -97,12 +80,12 @@ def main() -> None:
 
 def print_orders(bench: Bench) -> None:
     """The three hosts with services, in every order, a second apart; the gate is up."""
-    _print_orders(bench, tuple(SERVICES)[:3])
+    _print_orders(bench, tuple(site.SERVICES)[:3])
 
 
 def print_all_orders(bench: Bench) -> None:
     """The four hosts with a router, in every order."""
-    _print_orders(bench, tuple(SERVICES))
+    _print_orders(bench, tuple(site.SERVICES))
 
 
 def _print_orders(bench: Bench, hosts: tuple[str, ...]) -> None:
@@ -116,32 +99,36 @@ def print_faults(bench: Bench) -> None:
     """Every link, every fault: how soon the vehicle and the laptop notice, and how soon all is well again."""
     head = f"{'link of':<9}{'fault':<24}{'heard at':<9}{'notice s':>9}{'recover s':>10}{'verdicts/s':>11}"
     print(f"\n{head}{'gap s':>7}  cause")
-    for host in HOSTS:
-        for fault in FAULTS:
-            begun_s = bench.vehicle.wait(all_online, monotonic_s())
-            with broken(bench.lab, host, fault):
+    for host in site.HOSTS:
+        for fault in site.FAULTS:
+            begun_s = bench.vehicle.wait(site.all_online, monotonic_s())
+            with site.broken(bench.lab, host, fault):
                 time.sleep(HOLD_S)
                 ended_s = monotonic_s()
-            _print_noticed(bench, host, SAID[fault], BEHIND.get(host, ()) if fault == "cut" else (), begun_s, ended_s)
-    for host in SERVICES:
-        begun_s = bench.vehicle.wait(all_online, monotonic_s())
-        kill_router(bench.lab, host)
-        back_s = bench.vehicle.wait(all_online, begun_s + KILLED_S)
-        heard_s = bench.laptop.wait(is_verdict, begun_s + KILLED_S)
+            _print_noticed(
+                bench, host, SAID[fault], site.BEHIND.get(host, ()) if fault == "cut" else (), begun_s, ended_s
+            )
+    for host in site.SERVICES:
+        begun_s = bench.vehicle.wait(site.all_online, monotonic_s())
+        site.kill_router(bench.lab, host)
+        back_s = bench.vehicle.wait(site.all_online, begun_s + KILLED_S)
+        heard_s = bench.laptop.wait(site.is_verdict, begun_s + KILLED_S)
         ended_s = max(back_s, heard_s)  # the mending begins with the kill
-        vehicle = Noticed.by(bench.vehicle, BEHIND.get(host, ()), begun_s, ended_s, ended_s + back_s - begun_s)
-        laptop = Noticed.by_laptop(bench.laptop, begun_s, ended_s, ended_s + heard_s - begun_s)
+        vehicle = site.Noticed.by(
+            bench.vehicle, site.BEHIND.get(host, ()), begun_s, ended_s, ended_s + back_s - begun_s
+        )
+        laptop = site.Noticed.by_laptop(bench.laptop, begun_s, ended_s, ended_s + heard_s - begun_s)
         _print_views(host, "router killed, replaced", vehicle, laptop)
 
 
 def _print_noticed(bench: Bench, host: str, fault: str, lost: tuple[str, ...], begun_s: float, ended_s: float) -> None:
-    back_s = bench.vehicle.wait(all_online, ended_s)
-    heard_s = bench.laptop.wait(is_verdict, ended_s)
-    vehicle = Noticed.by(bench.vehicle, lost, begun_s, ended_s, back_s)
-    _print_views(host, fault, vehicle, Noticed.by_laptop(bench.laptop, begun_s, ended_s, heard_s))
+    back_s = bench.vehicle.wait(site.all_online, ended_s)
+    heard_s = bench.laptop.wait(site.is_verdict, ended_s)
+    vehicle = site.Noticed.by(bench.vehicle, lost, begun_s, ended_s, back_s)
+    _print_views(host, fault, vehicle, site.Noticed.by_laptop(bench.laptop, begun_s, ended_s, heard_s))
 
 
-def _print_views(host: str, fault: str, vehicle: Noticed, laptop: Noticed) -> None:
+def _print_views(host: str, fault: str, vehicle: site.Noticed, laptop: site.Noticed) -> None:
     """Where the laptop noticed nothing, only the vehicle's."""
     for where, seen in (("vehicle", vehicle), ("laptop", laptop)):
         if where == "laptop" and seen.notice_s is None:
@@ -155,13 +142,13 @@ def print_bandwidth(bench: Bench) -> None:
     """Payload per topic as one laptop gets it, and bytes on each host's link, with the roadside cloud off and on."""
     _enter_scene(bench)
     for title, more in (("without clouds", []), ("with the roadside cloud", ["infra_lidar/points"])):
-        before = {host: _link_bytes(bench.lab, host) for host in SERVICES}
+        before = {host: _link_bytes(bench.lab, host) for host in site.SERVICES}
         counted = _count(bench, more)
         print(f"\n{title}, one laptop at gate0\n{'topic':<30}{'Hz':>8}{'bytes':>10}{'Mbit/s':>10}")
         for key, seen in sorted(counted.items()):
             sizes = seen["bytes"]
             print(f"{key:<30}{len(sizes) / COUNT_S:>8.1f}{np.mean(sizes):>10.0f}{sum(sizes) * 8e-6 / COUNT_S:>10.3f}")
-        for host in SERVICES:
+        for host in site.SERVICES:
             now = _link_bytes(bench.lab, host)
             into, out = ((a - b) * 8e-6 / COUNT_S for a, b in zip(now, before[host], strict=True))
             print(f"link of {host:<22}received {into:.2f}, sent {out:.2f} Mbit/s")
@@ -170,9 +157,11 @@ def print_bandwidth(bench: Bench) -> None:
 def print_urgent(bench: Bench) -> None:
     """Do clouds and pictures delay tracks, verdicts and tokens on a narrow link?"""
     _enter_scene(bench)
-    print(f"\n{'link':<22}{'also asked for':<16}{'topic':<28}{'Hz':>6}{'p50 ms':>8}{'p99 ms':>8}{'max ms':>8}")
-    cases = [("infra0", mbit_s, large) for mbit_s in (1000.0, MBIT_S, 10.0) for large in ("", "infra_lidar/points")]
-    cases += [("jetson0", mbit_s, large) for mbit_s in (1000.0, MBIT_S, 5.0) for large in ("", "camera/image")]
+    print(f"\n{'link':<22}{'also asked for':<20}{'topic':<28}{'Hz':>6}{'p50 ms':>8}{'p99 ms':>8}{'max ms':>8}")
+    cases = [
+        ("infra0", mbit_s, large) for mbit_s in (1000.0, site.MBIT_S, 10.0) for large in ("", "infra_lidar/points")
+    ]
+    cases += [("jetson0", mbit_s, large) for mbit_s in (1000.0, site.MBIT_S, 5.0) for large in ("", "camera/image")]
     for host, mbit_s, large in cases:
         bench.lab.throttle(host, mbit_s)
         counted = _count(bench, [large])
@@ -181,27 +170,27 @@ def print_urgent(bench: Bench) -> None:
         for shown in (key, *(one for one in counted if large and one.endswith(large))):
             ways_ms = counted[shown]["ms"] or [np.nan]
             spread = "".join(f"{np.percentile(ways_ms, q):>8.1f}" for q in (50, 99, 100))
-            print(f"{host}, {mbit_s:<4.0f} Mbit/s    {large or '-':<16}{shown:<28}"
+            print(f"{host}, {mbit_s:<4.0f} Mbit/s    {large or '-':<20}{shown:<28}"
                   f"{len(counted[shown]['bytes']) / COUNT_S:>6.1f}{spread}", flush=True)  # fmt: skip
-        bench.vehicle.wait(all_online, monotonic_s())
+        bench.vehicle.wait(site.all_online, monotonic_s())
     for large in ("", "infra_lidar/points"):
-        print(f"infra0, {MBIT_S:.0f} Mbit/s, {large or 'no cloud'}: a killed service is missed after "
+        print(f"infra0, {site.MBIT_S:.0f} Mbit/s, {large or 'no cloud'}: a killed service is missed after "
               f"{_token_s(bench, large) * 1e3:.0f} ms")  # fmt: skip
 
 
 def _token_s(bench: Bench, large: str) -> float:
     """From the death of the roadside service to the vehicle's knowing, while its link carries what was asked for."""
-    bench.lab.throttle("infra0", MBIT_S)
+    bench.lab.throttle("infra0", site.MBIT_S)
     counting = "counting"
     bench.lab.start(counting, "laptop1", _count_words(bench, [large]))
     time.sleep(COUNT_S / 2)
     begun_s = monotonic_s()
     for pid in bench.lab.pids("infra0", "zenoh.namespace=spotter"):
         os.kill(pid, signal.SIGKILL)
-    gone_s = bench.vehicle.wait(state("infra_lidar", "disconnected"), begun_s)
+    gone_s = bench.vehicle.wait(site.state("infra_lidar", "disconnected"), begun_s)
     bench.lab.heal("infra0")
     bench.lab.stop(counting)
-    bench.vehicle.wait(all_online, gone_s)
+    bench.vehicle.wait(site.all_online, gone_s)
     return gone_s - begun_s
 
 

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -43,21 +44,19 @@ def grades(found: Iterable[Finding]) -> dict[str, str]:
 
 
 @contextmanager
-def spoken(session: zenoh.Session, key: str, payload: bytes, encoding: str) -> Iterator[None]:
-    """One message, again and again."""
-    stop = threading.Event()
+def again_and_again(act: Callable[[], object]) -> Iterator[None]:
+    """Twenty times a second, until the block ends."""
+    over = threading.Event()
 
-    def speak() -> None:
-        while not stop.wait(0.05):
-            session.put(key, payload, encoding=encoding)
+    def repeat() -> None:
+        while not over.wait(0.05):
+            act()
 
-    thread = threading.Thread(target=speak)
+    thread = threading.Thread(target=repeat)
     thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
+    yield
+    over.set()
+    thread.join()
 
 
 def answering(session: zenoh.Session, key: str, answer: Callable[[zenoh.Query], bytes]) -> zenoh.Queryable:
@@ -69,22 +68,12 @@ def answering(session: zenoh.Session, key: str, answer: Callable[[zenoh.Query], 
 
 
 @contextmanager
-def radar(endpoint: str, host: str = "pi0") -> Iterator[Service]:
+def radar(endpoint: str) -> Iterator[None]:
     """A radar service that is as it should be."""
-    with Service("radar", ServiceConfig(host=host, zenoh=ZenohConfig(connect=(endpoint,)))) as service:
-        publish, stop = service.publisher(RADAR_TRACKS), threading.Event()
-
-        def speak() -> None:
-            while not stop.wait(0.05):
-                publish(replace(TRACKS, stamp_ns=time.time_ns()))
-
-        thread = threading.Thread(target=speak)
-        thread.start()
-        try:
-            yield service
-        finally:
-            stop.set()
-            thread.join()
+    with Service("radar", ServiceConfig(host="pi0", zenoh=ZenohConfig(connect=(endpoint,)))) as service:
+        publish = service.publisher(RADAR_TRACKS)
+        with again_and_again(lambda: publish(replace(TRACKS, stamp_ns=time.time_ns()))):
+            yield
 
 
 @pytest.fixture(autouse=True)
@@ -168,7 +157,7 @@ def test_another_version(open_site: Site, client: zenoh.Session) -> None:
     ids=["another version", "another message", "garbage"],
 )
 def test_a_schema_that_does_not_match(open_site: Site, client: zenoh.Session, payload: bytes, encoding: str) -> None:
-    with spoken(client, "pi0/radar/tracks", payload, encoding):
+    with again_and_again(lambda: client.put("pi0/radar/tracks", payload, encoding=encoding)):
         assert grades(check_bus(open_site, "pi0"))["schema pi0/radar/tracks"] == "broken"
 
 
@@ -193,7 +182,8 @@ def test_a_sensor_that_fusion_does_not_hear(open_site: Site, client: zenoh.Sessi
     here = replace(open_site.hosts["pi0"], services={"radar": ServicePlace(), "fusion": ServicePlace()})
     site = replace(open_site, hosts={"pi0": here})
     assert grades(check_bus(site, "pi0"))["hear pi0/fusion/health"] == "broken"  # nobody there to ask
-    with spoken(client, "pi0/fusion/health", encode(HEALTH), encoding_of(SystemHealth)), radar(router_endpoint):
+    say = partial(client.put, "pi0/fusion/health", encode(HEALTH), encoding=encoding_of(SystemHealth))
+    with again_and_again(say), radar(router_endpoint):
         assert grades(check_bus(site, "pi0"))["seen by pi0: radar"] == "broken"
 
 
