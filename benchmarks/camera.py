@@ -42,6 +42,7 @@ for number in range(100000):
 
 
 def main() -> None:
+    """Print milliseconds per stage, live results a second, distance errors against labels, and loss of the capture."""
     print("\n## Camera: time per stage, ms (median, one network thread)")
     stage_table()
     print("\n## Camera: a live camera of 30 pictures a second through capture thread and pipeline, 4 s")

@@ -142,6 +142,7 @@ PARTS = {"speed": speed, "accuracy": accuracy, "detection": detection, "noise": 
 
 
 def main() -> None:
+    """Print the parts named on the command line, or all: speed, accuracy, detection, noise, recorded chirps."""
     wanted = [name for name in sys.argv[1:] if name in PARTS] or list(PARTS)
     for name in wanted:
         print(f"--- radar, {name}")

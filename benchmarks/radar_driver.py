@@ -80,6 +80,7 @@ def measure_fault(fault: str) -> tuple[float, float, int]:
 
 
 def main() -> None:
+    """Print milliseconds of unpacking beside plain loops, then latency and recovery on the emulated chip's clock."""
     logging.disable(logging.WARNING)
     fast_ms, plain_ms, assemble_ms = measure_unpacking()
     print("12-bit unpacking, 3 x 64 x 128         ms   ratio")

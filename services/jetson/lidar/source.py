@@ -33,7 +33,7 @@ SCHEMES = {"serial": (), "file": ("rate", "loop"), "sim": ("t0",), "mcap": MCAP_
 FILE_CHUNK_BYTES = 8 * PACKET_BYTES
 READ_TIMEOUT_S = 0.05
 LONGEST_PAUSE_S = 0.1  # the system keeps 4 kB for us: more than 0.2 s of the sensor
-AWAKE_S = 0.012  # before the closing byte is due: some packets may be early, and our wake-up late
+AWAKE_S = 0.006  # before the closing byte is due: a packet may be early, and our wake-up late
 SIM_TICK_S = 0.01
 REPLAY_DRIFT = 10.0  # a replay may run slower than the recording: stamps follow the arrival
 
