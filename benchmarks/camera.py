@@ -54,11 +54,13 @@ def main() -> None:
 
 
 def networks() -> dict[str, str]:
+    """Name -> model file ("" = the one that comes with the service); the real one where the recordings are."""
     real = {"yolov8n int8": str(REAL_NETWORK)} if REAL_NETWORK.exists() else {}
     return {"demo network": "", **real}
 
 
 def live_table() -> None:
+    """Results a second, pictures skipped, and milliseconds from picture to result."""
     print("| network | results/s | pictures skipped | picture to result, ms: p50 | p99 |")
     print("|---|---|---|---|---|")
     for name, model in networks().items():
@@ -79,6 +81,7 @@ def live_table() -> None:
 
 
 def stage_table() -> None:
+    """Median milliseconds of each stage, by network and picture."""
     stages = ("health", "preprocess", "inference", "postprocess", "distance")
     print(f"| network, picture | {' | '.join(stages)} | total | pictures/s | pre+post / inference |")
     print("|---" * (len(stages) + 4) + "|")
@@ -94,6 +97,7 @@ def stage_table() -> None:
 
 
 def stage_pictures() -> Iterator[tuple[str, np.ndarray]]:
+    """(title, BGR picture) of the simulated world and of real photographs."""
     yield "simulated 640 x 480", simulated.image("crossing", 5.0)
     for name in ("camera/bus.jpg", "camera/kitti_tracking_0001/000010.png"):
         image = cv2.imread(str(DATA / name)) if (DATA / name).exists() else None
@@ -102,6 +106,7 @@ def stage_pictures() -> Iterator[tuple[str, np.ndarray]]:
 
 
 def distance_table() -> None:
+    """Relative errors of plain f·H/h and of ours on the same real boxes, whole and cut off."""
     if not REAL_NETWORK.exists():
         print("(the recordings are not here; set SPOTTER_DATA)")
         return
@@ -129,10 +134,12 @@ def kitti_errors(camera_m: float) -> list[Error]:
 
 
 def summary(values: list[float]) -> str:
+    """Median, 90 % quantile and worst of relative errors."""
     return f"{np.median(values):.1%}, {np.quantile(values, 0.9):.0%}, {max(values):.0%}" if values else "-"
 
 
 def loss_table() -> None:
+    """Seconds until a lost capture child is noticed, and until pictures come again."""
     print("| what happens to the child | noticed after, s | pictures again after, s |")
     print("|---|---|---|")
     for name, blow in (("killed", signal.SIGKILL), ("frozen (SIGSTOP)", signal.SIGSTOP), ("hangs in a picture", None)):
@@ -164,6 +171,7 @@ def _lose_child(blow: signal.Signals | None, book: Path, script: Path) -> tuple[
 
 @contextmanager
 def reading(config: CameraConfig, report: Report, arrivals_s: list[float]) -> Iterator[None]:
+    """Reads the source in a thread of its own; ``arrivals_s`` grows by the moment (s) of each picture."""
     source, lossless = open_source(config, report)
 
     def read() -> None:
@@ -180,6 +188,7 @@ def reading(config: CameraConfig, report: Report, arrivals_s: list[float]) -> It
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
+    """Look every 2 ms until the condition holds."""
     while not condition():
         threading.Event().wait(0.002)
 

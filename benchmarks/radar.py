@@ -73,6 +73,7 @@ def speed() -> None:
 
 
 def accuracy() -> None:
+    """Errors of range, velocity (and its sign), azimuth and time to collision against the simulated truth."""
     errors = measure.accuracy(400, seed=1)
     print(f"{len(errors['tracks'])} bodies, 0.3 to 6 m, +-4 m/s, +-40 degrees, cell SNR 20 to 45 dB, six frames each")
     print(f"{'error':14s}{'median':>10s}{'p95':>10s}{'bias':>10s}")
@@ -86,6 +87,7 @@ def accuracy() -> None:
 
 
 def detection() -> None:
+    """Share of detected cells by cell SNR in dB, both detectors, beside theory."""
     print(f"{'cell SNR, dB':>12s}{'CA':>8s}{'OS':>8s}{'theory':>8s}   16 dB, 3 receivers, 900 trials each")
     for snr_db in (8.0, 12.0, 14.0, 15.0, 16.0, 17.0, 18.0, 20.0, 25.0):
         ca, os_ = (measure.detection_rate(snr_db, 900, int(snr_db), kind) for kind in ("ca", "os"))
@@ -93,6 +95,7 @@ def detection() -> None:
 
 
 def noise() -> None:
+    """Measured false alarm rates with their confidence intervals, and tracks reported on noise."""
     print(f"{'':10s}{'set':>9s}{'measured':>12s}{'99 % interval':>24s}{'windowed':>12s}   white noise cells")
     for kind in ("ca", "os"):
         for receivers in (1, 3):

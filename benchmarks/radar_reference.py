@@ -14,6 +14,7 @@ from services.radar_pi.noise import QUANTILE
 
 
 def hann(length: int) -> np.ndarray:
+    """Periodic Hann window of unit energy, (length,) float64."""
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
     return window / np.sqrt(np.sum(window**2))
 

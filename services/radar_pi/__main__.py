@@ -47,6 +47,7 @@ add_tools(app)
 
 
 def main() -> None:
+    """The console command ``spotter-radar``."""
     app()
 
 

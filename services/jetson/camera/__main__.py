@@ -18,6 +18,7 @@ from services.jetson.camera.source import fitted, open_source
 
 
 def run(config: CameraConfig) -> bool:
+    """Publish detections of each picture until the source or the process ends; False if not closed cleanly."""
     configured, config = config, fitted(config)
     pipeline = CameraPipeline(config)
     with Service("camera", config) as service:
@@ -41,6 +42,7 @@ app.add_typer(calibrate.app)
 
 
 def main() -> None:
+    """The console command ``spotter-camera``."""
     app()
 
 

@@ -75,6 +75,7 @@ def projection(text: str, name: str = "P2") -> np.ndarray:
 
 
 def lens_of(matrix: np.ndarray, width_px: int, height_px: int) -> LensConfig:
+    """The lens of a (3, 4) projection matrix for a picture of this size."""
     return LensConfig(
         width_px=width_px,
         height_px=height_px,

@@ -42,6 +42,7 @@ SEED = 20
 
 
 def conv(inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+    """3 x 3 convolution with batch norm and activation, (B, inputs, H, W) -> (B, outputs, H / stride, W / stride)."""
     return nn.Sequential(
         nn.Conv2d(inputs, outputs, 3, stride, dilation, dilation, bias=False), nn.BatchNorm2d(outputs), nn.SiLU()
     )
@@ -136,6 +137,7 @@ def overlap(one: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def loss_of(raw: Tensor, labels: list[np.ndarray]) -> Tensor:
+    """Scalar training loss of the raw outputs of a batch against its labelled boxes."""
     classes, boxes, counted = targets(labels)
     positive = classes >= 0
     score = raw[:, 4:].permute(0, 2, 3, 1)
@@ -215,6 +217,7 @@ def export(network: DemoNetwork, path: Path) -> None:
 
 
 def main() -> None:
+    """Train, export and check the network; seeded."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=DEMO_MODEL)
     parser.add_argument("--scenarios", type=int, default=160)

@@ -21,6 +21,7 @@ from services.jetson.lidar.source import open_source
 
 
 def run(config: LidarConfig) -> bool:
+    """Publish zones and scan of each revolution until the source or the process ends; False if not closed cleanly."""
     pipeline = LidarPipeline(config)
     with Service("lidar", config) as service:
         publish_zones, publish_scan = service.publisher(LIDAR_ZONES), service.publisher(LIDAR_SCAN)
@@ -56,6 +57,7 @@ def plot(
 
 
 def main() -> None:
+    """The console command ``spotter-lidar``."""
     app(args=flag_as_command(sys.argv[1:], "plot"))
 
 
