@@ -91,7 +91,9 @@ def draw(result: FrameResult, trails: list[np.ndarray], reach_m: float) -> np.nd
     axes = figure.add_subplot(facecolor="#16181c")
     _draw_points(axes, result)
     tracks = _shown(result)
-    axes.add_collection(LineCollection(trails, colors=[COLOURS[t.label] for t in tracks], linewidths=1.0, alpha=0.7))
+    axes.add_collection(
+        LineCollection(on_page(trails), colors=[COLOURS[t.label] for t in tracks], linewidths=1.0, alpha=0.7)
+    )
     for track in tracks:
         _draw_track(axes, track)
     centre = result.T_map_sensor[:2, 3]
@@ -106,6 +108,11 @@ def draw(result: FrameResult, trails: list[np.ndarray], reach_m: float) -> np.nd
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def on_page(trails: list[np.ndarray]) -> list[np.ndarray]:
+    """(n, 2) map x, y to the picture's axes: across is y, up is x."""
+    return [trail[:, ::-1] for trail in trails]
 
 
 def _draw_points(axes: Axes, result: FrameResult) -> None:

@@ -36,6 +36,11 @@ def test_ways_follow_tracks_and_forget_the_gone() -> None:
     assert ways.follow([track(1, 9.0)])[0].tolist() == [[9.0, 1.0]]
 
 
+def test_what_drives_along_x_goes_up_the_page() -> None:
+    (line,) = plot.on_page([np.array([[0.0, 3.0], [5.0, 3.0]])])
+    assert line.tolist() == [[3.0, 0.0], [3.0, 5.0]]
+
+
 def recorded(folder: Path, frames: int) -> InfraLidarConfig:
     folder.mkdir()
     for number in range(frames):
