@@ -151,32 +151,61 @@ def sift(points, columns, rows, bounds, road, near_m, known, ground, fresh, sour
     Writes known and ground (N,) bool, and the M others to fresh (M, C) with their index in source. Returns
     (M, returns, returns nearer than near_m).
     """
-    n = points.shape[0]
-    squared = np.empty(BLOCK, np.float32)
-    column = np.empty(BLOCK, np.float32)
-    per_column = np.float32(columns / (2.0 * np.pi))
-    m, returns, near = 0, 0, 0
+    n, flat = points.shape[0], bounds.reshape(bounds.size)
+    squared, cell = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.uint32)
+    m, returns, near, near2 = 0, 0, 0, near_m * near_m
     for start in range(0, n, BLOCK):
-        block = points[start : min(start + BLOCK, n)]
-        for i in range(block.shape[0]):
-            squared[i] = block[i, 0] * block[i, 0] + block[i, 1] * block[i, 1] + block[i, 2] * block[i, 2]
-        for i in range(block.shape[0]):
-            column[i] = (_angle(block[i, 1], block[i, 0]) + PI) * per_column
-        for i in range(block.shape[0]):
-            s = squared[i]
-            valid = s > NO_RETURN_M2
-            returns += valid
-            near += valid & (s < near_m * near_m)
-            if not valid:
-                known[start + i], ground[start + i] = True, False
-                continue
-            c = min(np.int32(column[i]), columns - 1) * rows + _row(block, i, rows, s)
-            seen = ((s >= bounds[c, 0]) & (s <= bounds[c, 1])) | ((s >= bounds[c, 2]) & (s <= bounds[c, 3]))
-            known[start + i] = seen
-            ground[start + i] = seen & (road[c] == 1)
-            if not seen:
-                for k in range(points.shape[1]):
-                    fresh[m, k] = block[i, k]
-                source[m] = start + i
-                m += 1
+        size = min(BLOCK, n - start)
+        block, s, c = points[start : start + size], squared[:size], cell[:size]
+        _cells(block, columns, rows, s, c)
+        block_returns, block_near = np.int32(0), np.int32(0)
+        for i in range(size):
+            block_returns += np.int32(s[i] > NO_RETURN_M2)
+        for i in range(size):
+            block_near += np.int32((s[i] > NO_RETURN_M2) & (s[i] < near2))
+        returns += block_returns
+        near += block_near
+        _recognise(s, c, flat, road, known[start : start + size], ground[start : start + size])
+        first = m
+        for i in range(size):  # without branches: the next point overwrites what is known
+            source[m] = start + i
+            m += np.int64(not known[start + i])
+        for j in range(first, m):
+            for k in range(points.shape[1]):
+                fresh[j, k] = points[source[j], k]
     return m, returns, near
+
+
+@kernel
+def _cells(block, columns, rows, squared, cell):  # type: ignore[no-untyped-def]
+    """Squared distance and cell of the points of a block."""
+    per_column, last, many = np.float32(columns / (2.0 * np.pi)), np.int32(columns - 1), np.int32(rows)
+    n = block.shape[0]
+    x, y, z, row = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.int32)
+    for i in range(n):  # planar first: what follows is vectorised
+        x[i], y[i], z[i] = block[i, 0], block[i, 1], block[i, 2]
+    for i in range(n):
+        squared[i] = x[i] * x[i] + y[i] * y[i] + z[i] * z[i]
+    for i in range(n):
+        row[i] = _row(block, i, rows, squared[i])
+    for i in range(n):
+        column = min(np.int32((_angle(y[i], x[i]) + PI) * per_column), last)
+        cell[i] = np.uint32(column * many + row[i])
+
+
+@kernel
+def _recognise(squared, cell, bounds, road, known, ground):  # type: ignore[no-untyped-def]
+    """known: the range lies in one of the two intervals of its cell, or nothing came back; ground: of the road."""
+    n = squared.shape[0]
+    road_here = np.empty(n, np.uint8)
+    first, second = np.empty(n, np.float32), np.empty(n, np.float32)  # how deep in each interval; negative: not
+    for i in range(n):
+        at = cell[i] * np.uint32(4)
+        first[i] = min(squared[i] - bounds[at], bounds[at + np.uint32(1)] - squared[i])
+        second[i] = min(squared[i] - bounds[at + np.uint32(2)], bounds[at + np.uint32(3)] - squared[i])
+    for i in range(n):
+        road_here[i] = road[cell[i]]
+    for i in range(n):
+        ground[i] = ((first[i] >= 0) | (second[i] >= 0)) & (squared[i] > NO_RETURN_M2) & (road_here[i] == 1)
+    for i in range(n):
+        known[i] = (first[i] >= 0) | (second[i] >= 0) | (not squared[i] > NO_RETURN_M2)

@@ -12,6 +12,7 @@ import numpy as np
 from services.infra_lidar.jit import inline, kernel
 
 ONE = np.uint64(1)
+STEPS = 1024  # of the table of scales
 
 
 @inline
@@ -38,15 +39,31 @@ def grid_cells(x, y, origin_x, origin_y, cell_m, growth_m, side, row, column):  
     growth_m > 0: radii are compressed by f(r) = g / c * ln(1 + r / g), so that a cell measures c near the sensor and
     c (1 + r / g) along the ray at range r. growth_m = 0: plain squares of cell_m.
     """
-    half = side // 2
+    half, last = np.int32(side // 2), np.int32(side - 1)
+    scales, per_m = _scales(cell_m, growth_m, side)
     for i in range(x.shape[0]):
         dx, dy = x[i] - origin_x, y[i] - origin_y
-        scale = np.float32(1.0) / cell_m
-        if growth_m > 0:
-            r = max(np.sqrt(dx * dx + dy * dy), np.float32(1e-3))
-            scale = growth_m / cell_m * np.log1p(r / growth_m) / r
-        row[i] = min(max(np.int32(np.floor(dy * scale)) + half, 0), side - 1)
-        column[i] = min(max(np.int32(np.floor(dx * scale)) + half, 0), side - 1)
+        at = min(np.sqrt(dx * dx + dy * dy) * per_m, np.float32(STEPS - 1))
+        k = np.uint32(at)
+        scale = scales[k] + (at - np.float32(k)) * (scales[k + np.uint32(1)] - scales[k])
+        row[i] = min(max(np.int32(np.floor(dy * scale)) + half, np.int32(0)), last)
+        column[i] = min(max(np.int32(np.floor(dx * scale)) + half, np.int32(0)), last)
+
+
+@kernel
+def _scales(cell_m, growth_m, side):  # type: ignore[no-untyped-def]
+    """f(r) / r at STEPS + 1 ranges, to be interpolated: a logarithm per point takes longer than all the rest.
+
+    Also the number of steps per metre. The grid that comes out is a little other than f says (a hundredth of a cell).
+    """
+    scales = np.full(STEPS + 1, np.float32(1.0) / cell_m, np.float32)
+    if growth_m <= 0:
+        return scales, np.float32(0.0)
+    reach = growth_m * (np.exp(side // 2 * cell_m / growth_m) - 1.0)
+    for k in range(1, STEPS + 1):
+        r = reach * k / (STEPS - 1)
+        scales[k] = growth_m / cell_m * np.log1p(r / growth_m) / r
+    return scales, np.float32((STEPS - 1) / reach)
 
 
 @kernel
