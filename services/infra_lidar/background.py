@@ -74,7 +74,7 @@ class Background:
         if self.model is None:
             return None
         sifted = self._sift(points, self.model, near_m)
-        misfit = sifted.known.sum() < 0.6 * self.model.known_share * max(sifted.returns, 1)
+        misfit = np.count_nonzero(sifted.known) < 0.6 * self.model.known_share * max(sifted.returns, 1)
         self._misfits = self._misfits + 1 if misfit else 0
         return None if misfit else sifted
 

@@ -88,7 +88,9 @@ class InfraLidarPipeline:
 
         # 6. Learn the fixed scene, as long as it is not known. Then: can the sensor see at all?
         cluster_id = parted.spread(found.cluster_id)
-        known = self.scene.learn(stamp_ns, points, parted, _road_user(clusters, cluster_id))
+        known = None
+        if self.config.background.enabled and parted.source is None:  # a sifted frame teaches nothing
+            known = self.scene.learn(stamp_ns, points, parted, _road_user(clusters, cluster_id))
         if known is not None:
             self.tracker.forget(_vanished(known, cluster_id, len(clusters)))  # every other track keeps its id
         watch.lap("learn")
