@@ -43,7 +43,7 @@ TRACK = np.dtype(
         ("score", np.float64),
         ("points", np.int64),
         ("detection", np.int64),  # index in the last frame, -1 = none
-        ("trail", np.float64, (TRAIL, 4)),  # where it was: x, y and half extents along x and y; a ring over frames
+        ("trail", np.float64, (TRAIL, 5)),  # where it was: x, y, half extents along x and y, yaw; a ring over frames
         ("frames", np.int64),  # since birth
     ]
 )

@@ -6,8 +6,8 @@ from where they were ``movement_s`` ago: farther than ``movement_m`` plus what t
 and than three sigma of the position, after at least six detections (four in a row if twice as far), on a way that is
 straight (net displacement over 60 % of the path) and no single jump (no step over 60 % of it), seen in about every
 second frame or more: in between there is only a prediction. What is left of a hedge does not begin to move, either:
-most of its detections must be of something else than background. Once moving it stays so until the displacement falls
-under half of that.
+most of its detections must be of something else than background. Nor does a vehicle whose box turned meanwhile: it is
+being uncovered. Once moving it stays so until the displacement falls under half of that.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from services.infra_lidar.tracking_filter import TRAIL, correct, edge_shift, ext
 
 _MIN_PRESENCE = 0.45
 _MAX_FIXTURE = 0.3
+_MAX_TURN_RAD = 0.35  # a vehicle that is only being uncovered turns its box; one that sets off hardly does
+_LONG_M = 2.0  # smaller boxes have no direction to speak of
 _HEADING_MPS = 1.5  # from this speed on the heading is where the track goes
 
 
@@ -136,6 +138,7 @@ def note_place(track: Any, slot: int) -> None:
     place[0], place[1] = track.mean[0], track.mean[1]
     place[2] = 0.5 * (c * track.size[0] + s * track.size[1])
     place[3] = 0.5 * (s * track.size[0] + c * track.size[1])
+    place[4] = track.yaw
 
 
 @kernel
@@ -151,6 +154,12 @@ def _way(now: np.ndarray, then: np.ndarray) -> float:
     along, _ = edge_shift(now[0] - then[0], 2.0 * now[2], 2.0 * then[2])
     across, _ = edge_shift(now[1] - then[1], 2.0 * now[3], 2.0 * then[3])
     return math.hypot(along, across)
+
+
+@kernel
+def _turned(angle: float) -> float:
+    """How far a box has turned; a quarter of a circle is none."""
+    return abs(angle - 0.5 * math.pi * math.floor(angle / (0.5 * math.pi) + 0.5))
 
 
 @kernel
@@ -176,6 +185,9 @@ def _moves(track: Any, slot: int, steps: int, movement_m: float) -> bool:
     needed = max(movement_m + track.wobble, 3.0 * math.sqrt(max(track.cov[0, 0], track.cov[1, 1])))
     if track.moving:
         return net > 0.5 * needed
+    turn = _turned(track.trail[slot, 4] - track.trail[(slot - steps) % TRAIL, 4])
+    if turn > _MAX_TURN_RAD and max(track.size[0], track.size[1]) > _LONG_M:
+        return False
     sure = steps >= 5 and min(track.hits, track.frames) >= 6
     if track.presence <= _MIN_PRESENCE or track.fixture > _MAX_FIXTURE or net <= (needed if sure else 2.0 * needed):
         return False

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import settings as how
 from hypothesis import strategies as st
 
-from services.infra_lidar.config import TrackingConfig
+from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig, TrackingConfig
+from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
 from services.infra_lidar.tracking_config import ARTICLE_TRACKING
 
@@ -98,3 +99,31 @@ def test_what_is_left_of_a_learned_hedge_does_not_begin_to_move() -> None:
         tracks = tracker.update(T0_NS + number * 100_000_000, boxes((drift, 0.0, 3.0, 1.0, label)))
         assert [track.velocity_mps for track in tracks] == [(0.0, 0.0, 0.0)] * len(tracks)
     assert len(tracks) == 1
+
+
+def test_a_parked_car_that_is_being_uncovered_does_not_move() -> None:
+    """The visible part grows from a slanted corner to the whole car: its box turns and its centre goes by 2 m."""
+    parts = [(14.7, 13.8, 2.7, 1.0, 0.62), (14.3, 14.0, 3.6, 1.6, 0.54), (13.9, 14.4, 3.1, 1.9, 1.28)]
+    parts += [(13.6, 15.0, 3.9, 1.8, 1.58), (13.8, 15.0, 4.0, 1.9, 1.45), (13.8, 15.9, 2.0, 1.1, 1.6)] * 2
+    tracker = MultiObjectTracker(TrackingConfig())
+    for number, (x, y, length, width, yaw) in enumerate(parts):
+        seen = boxes((x, y, length, width, "car"))
+        seen.yaw_rad[:] = yaw
+        tracks = tracker.update(T0_NS + number * 100_000_000, seen)
+        assert [np.hypot(*track.velocity_mps[:2]) > 1.0 for track in tracks] == [False] * len(tracks)
+
+
+def test_a_small_kitti_drive_moves_as_one(recording) -> None:
+    """Parked cars of a drive go backwards at the vehicle's speed, all alike, and keep their ids."""
+    config = InfraLidarConfig(background=BackgroundConfig(enabled=False))
+    pipeline, speeds, ids = InfraLidarPipeline(config), [], []
+    for number, path in enumerate(sorted(recording("sequence-kitti-hdl64").glob("data_1_*.npz"))):
+        with np.load(path) as sweep:
+            points = np.column_stack((sweep["xyz_cm"] / 100.0, sweep["intensity"])).astype(np.float32)
+        shown = [t for t in pipeline.process(T0_NS + number * 100_000_000, points).tracks.tracks if t.label == "car"]
+        speeds = [t.velocity_mps[0] for t in shown if t.state == "confirmed" and t.velocity_mps[0] != 0.0]
+        ids.append({t.track_id for t in shown if t.state == "confirmed" and t.velocity_mps[0] != 0.0})
+    assert len(speeds) >= 6
+    assert np.median(speeds) == pytest.approx(-7.4, abs=0.4)
+    assert np.median(np.abs(np.array(speeds) - np.median(speeds))) < 0.4
+    assert len(ids[-1] & ids[-3]) >= 0.6 * len(ids[-3])
