@@ -72,6 +72,7 @@ def open_incident(
     target = out or Path(f"{name}.mcap")
     if target.exists():
         fail(f"{target} is there already")
+    target.parent.mkdir(parents=True, exist_ok=True)
     with bus(connect, namespace) as session, tempfile.TemporaryDirectory() as folder:
         hosts = _hosts_by_incident(session).get(name, [])
         if not hosts:

@@ -28,6 +28,8 @@ def plot(
         import common.plots.story  # noqa: F401
     except ImportError as error:
         fail(f"plotting needs the extra `plot` or `laptop`: {error}")
+    if what.endswith(".mcap") and not Path(what).is_file():
+        fail(f"{what}: no such file", code=2)
     try:
         if what.endswith(".mcap"):
             _plot_recording(Path(what), out, start, end)
