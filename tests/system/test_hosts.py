@@ -9,7 +9,6 @@ import json
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import permutations
 from pathlib import Path
 
 import pytest
@@ -36,6 +35,8 @@ from common.drill.namespaces import Lab, missing
 
 pytestmark = [pytest.mark.netns, pytest.mark.slow, pytest.mark.system, pytest.mark.timeout(240)]
 ATTACKER = str(Path(__file__).with_name("attacker.py"))
+# Each host once the first and once the last; all 6, and all 24 with the gate: `python -m benchmarks.deploy all-orders`.
+BOOT_ORDERS = (("pi0", "jetson0", "infra0"), ("jetson0", "infra0", "pi0"), ("infra0", "pi0", "jetson0"))
 HOLD_S = 1.5
 CUT_S = 3.5  # the lease is 2 s: the links are given up meanwhile
 
@@ -74,7 +75,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
                 ear.close()
 
 
-@pytest.mark.parametrize("order", permutations(("pi0", "jetson0", "infra0")), ids="-".join)
+@pytest.mark.parametrize("order", BOOT_ORDERS, ids="-".join)
 def test_hosts_boot_in_any_order(site: Site, order: tuple[str, ...]) -> None:
     """Each has a verdict, or is missed, before the next one is there."""
     site.lab.stop(*order)
