@@ -73,10 +73,15 @@ class Background:
         """Part a frame (N, 3+) with the model in use; None while there is none or it does not fit this frame."""
         if self.model is None:
             return None
-        sifted = self._sift(points, self.model, near_m)
-        misfit = np.count_nonzero(sifted.known) < 0.6 * self.model.known_share * max(sifted.returns, 1)
+        known, ground, source, returns, near = self._mark(points, self.model, near_m)
+        misfit = len(points) - len(source) < 0.6 * self.model.known_share * max(returns, 1)
         self._misfits = self._misfits + 1 if misfit else 0
-        return None if misfit else sifted
+        if misfit:
+            return None
+        width = points.shape[1]
+        fresh = self._buffers.take("bg_fresh", len(source) * width, np.float32).reshape(len(source), width)
+        kernels.gather(points, source, fresh)
+        return Sifted(fresh, source, known, ground, returns, near)
 
     @property
     def lost(self) -> bool:
@@ -87,7 +92,7 @@ class Background:
         """Take the stored model if it explains this frame nearly as well as it did when it was learned."""
         if self._trial is None:
             return
-        known = self._sift(points, self._trial, 0.0).known
+        known = self._mark(points, self._trial, 0.0)[0]
         if known.mean() >= 0.8 * self._trial.known_share:
             self.model = self._trial
         self._trial = None
@@ -134,27 +139,20 @@ class Background:
         kernels.mark_cells(points, self._columns, self._rows, road_user, 1, users)
         bounds[_widened(users.reshape(self._columns, self._rows)).ravel()] = (1.0, 0.0, 1.0, 0.0)
         model = BackgroundModel(bounds, road, self._columns, self._rows, 1.0, surface.copy())
-        share = float(self._sift(points, model, 0.0).known.mean())
+        share = float(self._mark(points, model, 0.0)[0].mean())
         return BackgroundModel(bounds, road, self._columns, self._rows, share, surface.copy())
 
-    def _sift(self, points: np.ndarray, model: BackgroundModel, near_m: float) -> Sifted:
+    def _mark(
+        self, points: np.ndarray, model: BackgroundModel, near_m: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int]:
+        """Masks known and ground (N,), the index (M,) of what is not known, and the counts of returns."""
         n, take = len(points), self._buffers.take
         known, ground = take("bg_known", n, np.bool_), take("bg_ground", n, np.bool_)
-        source = take("bg_source", n, np.int32)
-        fresh = take("bg_fresh", n * points.shape[1], np.float32).reshape(n, points.shape[1])
+        source = take("bg_source", n + 1, np.int32)
         m, returns, near = kernels.sift(
-            points,
-            model.columns,
-            model.rows,
-            model.bounds,
-            model.road,
-            np.float32(near_m),
-            known,
-            ground,
-            fresh,
-            source,
+            points, model.columns, model.rows, model.bounds, model.road, np.float32(near_m), known, ground, source
         )
-        return Sifted(fresh[:m], source[:m], known, ground, returns, near)
+        return known, ground, source[:m], returns, near
 
 
 def _widened(users: np.ndarray) -> np.ndarray:

@@ -144,12 +144,12 @@ def mark_cells(points, columns, rows, chosen, value, table):  # type: ignore[no-
 
 
 @kernel
-def sift(points, columns, rows, bounds, road, near_m, known, ground, fresh, source):  # type: ignore[no-untyped-def]
+def sift(points, columns, rows, bounds, road, near_m, known, ground, source):  # type: ignore[no-untyped-def]
     """Part returns that were always there from the rest.
 
     points (N, C) float32 sensor frame; bounds (cells, 4); road (cells,) uint8, 1 = the background there is road.
-    Writes known and ground (N,) bool, and the M others to fresh (M, C) with their index in source. Returns
-    (M, returns, returns nearer than near_m).
+    Writes known and ground (N,) bool, and the index of the M others to source (N + 1,). Returns (M, returns, returns
+    nearer than near_m).
     """
     n, flat = points.shape[0], bounds.reshape(bounds.size)
     squared, cell = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.uint32)
@@ -166,14 +166,19 @@ def sift(points, columns, rows, bounds, road, near_m, known, ground, fresh, sour
         returns += block_returns
         near += block_near
         _recognise(s, c, flat, road, known[start : start + size], ground[start : start + size])
-        first = m
         for i in range(size):  # without branches: the next point overwrites what is known
             source[m] = start + i
             m += np.int64(not known[start + i])
-        for j in range(first, m):
-            for k in range(points.shape[1]):
-                fresh[j, k] = points[source[j], k]
     return m, returns, near
+
+
+@kernel
+def gather(points, source, fresh):  # type: ignore[no-untyped-def]
+    """fresh (M, C): the rows ``source`` (M,) of points (N, C)."""
+    for j in range(source.shape[0]):
+        i = np.uint32(source[j])
+        for k in range(points.shape[1]):
+            fresh[j, k] = points[i, k]
 
 
 @kernel
