@@ -30,6 +30,7 @@ class Rows:
     score: np.ndarray  # (n,), 1 for labels
 
     def take(self, index: np.ndarray) -> Rows:
+        """The rows at ``index``, integers or a mask (n,)."""
         return Rows(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 

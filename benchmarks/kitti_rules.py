@@ -32,6 +32,8 @@ class Frame:
 
 @dataclass(frozen=True)
 class Sequence:
+    """All frames of one sequence."""
+
     frames: list[Frame]
     track_score: np.ndarray  # (T,) mean score of every result track
 
@@ -52,19 +54,24 @@ class Scores:
 
     @property
     def mota(self) -> float:
+        """Share of 1; negative when there are more errors than truths."""
         return 1.0 - (self.misses + self.false + self.switches) / self.truths
 
     @property
     def motp(self) -> float:
+        """Mean overlap of the matches."""
         return self.overlap_sum / self.matches if self.matches else 0.0
 
     def smota(self, recall: float) -> float:
+        """MOTA scaled to what a recall of ``recall`` allows, 0..1."""
         errors = self.misses + self.false + self.switches - (1.0 - recall) * self.truths
         return min(1.0, max(0.0, 1.0 - errors / (recall * self.truths)))
 
 
 @dataclass(frozen=True)
 class Summary:
+    """Averages over the cuts, shares of 1, and the cut with the best MOTA."""
+
     samota: float
     amota: float
     amotp: float

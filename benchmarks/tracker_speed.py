@@ -27,6 +27,7 @@ class PlainTracker:
         self.tracks: list[tuple[np.ndarray, np.ndarray]] = []
 
     def update(self, positions: np.ndarray, dt_s: float = 0.1) -> None:
+        """One frame of centres (K, 3), metres."""
         F, H = np.eye(6) + dt_s * np.eye(6, k=3), np.eye(3, 6)
         Q, R = np.diag([0.5] * 3 + [2.0] * 3), 0.3 * np.eye(3)
         predicted = [(F @ x, F @ P @ F.T + Q) for x, P in self.tracks]

@@ -70,6 +70,7 @@ class TrackingScore:
 
     @property
     def mota(self) -> float:
+        """1 - (misses + false + switches) / truths."""
         return 1.0 - (self.misses + self.false + self.switches) / max(self.truths, 1)
 
     @property

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks.box_overlap import overlap_3d
-from benchmarks.kitti_format import Rows, data_folder, read_rows, write_rows
+from benchmarks.kitti_format import Rows, data_folder, read_detections, read_rows, write_rows
 from benchmarks.kitti_rules import Summary, at_cut, evaluate, prepare, score_cuts
+from benchmarks.kitti_tracking import REFERENCE, score_class, track_sequence
 
 
 def rows(
@@ -139,3 +140,17 @@ def test_recorded_labels_as_results_are_perfect() -> None:
             sequences.append(prepare(labels, labels, kind))
         got = at_cut(sequences, -np.inf, 0.25)
         assert (got.misses, got.false, got.switches) == (0, 0, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not data_folder().is_dir(), reason="no tracking-kitti in SPOTTER_DATA")
+@pytest.mark.parametrize("kind", ["Car", "Pedestrian", "Cyclist"])
+def test_recorded_detections_reach_the_reference_with_one_preset(kind: str) -> None:
+    """AB3DMOT's own rows on the same unfiltered detections: sAMOTA, MOTA and no switch."""
+    labels = {path.stem: read_rows(path) for path in sorted((data_folder() / "label").glob("*.txt"))}
+    folder = data_folder() / f"detections_{kind.lower()}"
+    results = {name: track_sequence(read_detections(folder / f"{name}.txt", kind), kind) for name in labels}
+    got = score_class(kind, results, labels)
+    assert 100 * got.samota >= REFERENCE[kind][0]
+    assert 100 * got.best.mota >= REFERENCE[kind][3]
+    assert got.best.switches == 0
