@@ -112,12 +112,19 @@ DATA_TOPICS: tuple[Topic, ...] = (
     EGO_MOTION,
 )
 
+
 # Bytes as a device sent them, for recordings that are to be processed again; only while somebody listens.
-RADAR_RAW, LIDAR_RAW, CAMERA_RAW, INFRA_RAW = RAW_TOPICS = tuple(
-    Topic(service, "raw", m.RawBytes, None, on_demand=True,
-          priority="data_low", congestion="block_first", max_bytes=32_000_000)
-    for service in ("radar", "lidar", "camera", "infra_lidar")
-)  # fmt: skip
+# The small streams have a queue of their own: a picture that is late must not cost a byte of the lidar.
+def _raw(service: str, priority: Priority) -> Topic:
+    return Topic(
+        service, "raw", m.RawBytes, None, on_demand=True,
+        priority=priority, congestion="block_first", max_bytes=32_000_000,
+    )  # fmt: skip
+
+
+RADAR_RAW, LIDAR_RAW = _raw("radar", "data"), _raw("lidar", "data")
+CAMERA_RAW, INFRA_RAW = _raw("camera", "data_low"), _raw("infra_lidar", "data_low")
+RAW_TOPICS = (RADAR_RAW, LIDAR_RAW, CAMERA_RAW, INFRA_RAW)
 
 
 @dataclass(frozen=True)

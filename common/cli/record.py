@@ -72,6 +72,7 @@ def record(
         except DiskFull as error:
             fail(str(error))
         finally:
+            recorder.close()
             progress.close()
     if as_json:
         print(json.dumps(vars(recorder.status)))

@@ -18,12 +18,14 @@ from common.clock import monotonic_s, utc_ns
 from common.codec import DecodeError, decode
 from common.messages import Message
 from common.recording.file import RecordingFile
+from common.session import undeclare
 from common.topics import Topic, find_topic
 
 FLUSH_PERIOD_S = 0.5
 SYNC_PERIOD_S = 1.0
 QUEUE_MESSAGES = 20_000
 RING_PER_TOPIC = 512
+STOP_LIMIT_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -81,8 +83,19 @@ class Recorder:
         self._subscribers = [
             session.declare_subscriber(topic.any_host, zenoh.handlers.RingChannel(RING_PER_TOPIC)) for topic in topics
         ]
+        self._threads = [
+            threading.Thread(target=self._receive, args=(subscriber,), name="recorder", daemon=True)
+            for subscriber in self._subscribers
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        """End the subscriptions and their threads, which must not outlive the interpreter."""
         for subscriber in self._subscribers:
-            threading.Thread(target=self._receive, args=(subscriber,), name="recorder", daemon=True).start()
+            undeclare(subscriber)
+        for thread in self._threads:
+            thread.join(STOP_LIMIT_S)
 
     def run(self, stop: threading.Event, tell: Callable[[RecorderStatus], None] = lambda _: None) -> None:
         """Write until ``stop`` is set.
