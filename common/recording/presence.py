@@ -1,6 +1,6 @@
 """A recorder makes itself known on the bus like a service: the dashboard and `spotter top` show that it runs.
 
-Where access rules are in force it is seen when it runs on a host; a laptop may only listen there.
+Where access rules are in force it is not seen: there only the services of the site may speak.
 """
 
 from __future__ import annotations
