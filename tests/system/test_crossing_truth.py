@@ -6,6 +6,7 @@ is delivered to fusion in the order of time. No process, no network, no waiting:
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -17,9 +18,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from common import clock as clocks
 from common import topics
 from common.messages import LEVELS, SensorHealth, Verdict
 from common.pubsub import Received
+from common.sim import scenario_clock
 from common.sim.truth import expect
 from common.sim.world import SCENARIOS
 from common.status import Report
@@ -183,8 +186,9 @@ def run_service(name: str, scenario: str, seconds: float) -> list[tuple[float, s
 
     sent.clock.sleep = watched_sleep  # type: ignore[method-assign]
     with pytest.MonkeyPatch.context() as patch:
-        for clock in ("utc_ns", "monotonic_s"):
-            patch.setattr(module, clock, getattr(sent.clock, clock))
+        for place, clock in itertools.product((clocks, scenario_clock, module), ("utc_ns", "monotonic_s")):
+            if hasattr(place, clock):
+                patch.setattr(place, clock, getattr(sent.clock, clock))
         if hasattr(module, "time"):
             patch.setattr(module, "time", SimpleNamespace(sleep=watched_sleep))
         try:
