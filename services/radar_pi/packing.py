@@ -235,7 +235,7 @@ def _unpack(rows: np.ndarray, offset: int) -> np.ndarray:
     """Rows (n, offset + 3 w) uint8, contiguous -> (n, 2 w) uint16.
 
     Each word is read twice as a big-endian 16-bit number, at its first and at its second byte: that leaves one shift
-    and one mask, no intermediate arrays.
+    and one mask.
     """
     width = (rows.shape[1] - offset) // WORD_BYTES
     shape, strides = (rows.shape[0], width), (rows.shape[1], WORD_BYTES)
@@ -243,6 +243,6 @@ def _unpack(rows: np.ndarray, offset: int) -> np.ndarray:
     if samples.size:
         first = np.ndarray(shape, ">u2", rows.data, offset, strides)
         second = np.ndarray(shape, ">u2", rows.data, offset + 1, strides)
-        np.right_shift(first, 4, out=samples[..., 0])
-        np.bitwise_and(second, 0xFFF, out=samples[..., 1])
+        samples[..., 0] = first >> 4
+        samples[..., 1] = second & 0xFFF
     return samples.reshape(rows.shape[0], -1)
