@@ -17,7 +17,7 @@ log = logging.getLogger(__name__)
 
 def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
     """Run a small made-up frame through a pipeline of its own; returns the milliseconds it took."""
-    tell("loading kernels; on the first start on this machine they are compiled, which takes up to 15 s")
+    tell("loading kernels; on the first start on this machine they are compiled, which takes about 40 s")
     watch = Stopwatch()
     background = msgspec.structs.replace(config.background, learn_s=0.1, min_frames=5, azimuth_cells=90)
     calibration = msgspec.structs.replace(config.calibration, frames=1, hypotheses=16)
