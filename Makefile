@@ -17,11 +17,18 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 demo: setup
 	@$(BIN)/spotter demo $(ARGS)
 
+# Everything: what computes on all cores at once, then what runs real processes one after the other. ARGS="-k word" or a
+# path runs those tests alone.
 test: setup
+ifeq ($(strip $(ARGS)),)
+	@$(BIN)/pytest -q --numprocesses 2 --dist loadfile -m "not system and not netns"
+	@$(BIN)/pytest -m "system or netns"
+else
 	@$(BIN)/pytest $(ARGS)
+endif
 
 test-fast: setup
-	@$(BIN)/pytest -m "not slow and not system and not netns" $(ARGS)
+	@$(BIN)/pytest -q --numprocesses 2 --dist loadfile -m "not slow and not system and not netns" $(ARGS)
 
 # Breaks the demo in every way that common/drill/drills.toml lists, against deadlines; wants a machine that is not busy.
 drill: setup

@@ -18,6 +18,7 @@ from typing import Any
 from websockets.sync.client import connect as open_socket
 
 CHROMIUM = next((path for path in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if path), None)
+LOOK_S = 0.02
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
     "--disable-background-networking", "--disable-component-update", "--remote-debugging-port=0",
@@ -74,6 +75,7 @@ class Browser:
             if time.monotonic() > deadline_s:
                 shown = self.run("document.body ? document.body.innerText : ''")
                 raise AssertionError(f"never true: {script}\n{shown[:2000]}")
+            time.sleep(LOOK_S)  # the page and what it shows need the processor, too
         return value
 
     def press(self, key: str) -> None:

@@ -20,6 +20,20 @@ REPOSITORY = Path(__file__).parent.parent
 settings.register_profile("spotter", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("spotter")
 
+# Whoever asks for one of these runs real processes or real Zenoh: such tests want the machine for themselves.
+LIVE_FIXTURES = frozenset({
+    "router_endpoint", "zenoh_config", "module_router", "browser", "start_dashboard", "start_dashboard_at", "spawn",
+    "running_demo", "demo_json", "yard", "speaking",
+})  # fmt: skip
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark them, before ``-m`` selects."""
+    for item in items:
+        if isinstance(item, pytest.Function) and not LIVE_FIXTURES.isdisjoint(item.fixturenames):
+            item.add_marker("system")
+
 
 @pytest.fixture(scope="session")
 def recordings() -> Callable[[str], Path]:

@@ -17,6 +17,8 @@ from common.hosts import Plan, children, parse_settings, services_of
 from common.supervisor import Child, Supervisor
 from common.topics import SERVICES
 
+pytestmark = pytest.mark.system
+
 SLEEPER = """
 import signal, sys
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))

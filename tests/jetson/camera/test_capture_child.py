@@ -32,6 +32,8 @@ from services.jetson.camera.source import open_source
 
 WIDTH, HEIGHT = 64, 48
 BUDGET_S = 30.0
+pytestmark = pytest.mark.system
+
 REPOSITORY = Path(__file__).parents[3]
 
 # Says its process id, then one picture every 20 ms whose pixels count up; in its first life it may misbehave.
