@@ -20,7 +20,8 @@ REPOSITORY = Path(__file__).parent.parent
 settings.register_profile("spotter", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("spotter")
 
-# Whoever asks for one of these runs real processes or real Zenoh: such tests want the machine for themselves.
+# Whoever asks for one of these runs real processes or real Zenoh: such tests want the machine for themselves, unless
+# they say that they are patient.
 LIVE_FIXTURES = frozenset({
     "router_endpoint", "zenoh_config", "module_router", "browser", "start_dashboard", "start_dashboard_at", "spawn",
     "running_demo", "demo_json", "yard", "speaking",
@@ -31,7 +32,8 @@ LIVE_FIXTURES = frozenset({
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark them, before ``-m`` selects."""
     for item in items:
-        if isinstance(item, pytest.Function) and not LIVE_FIXTURES.isdisjoint(item.fixturenames):
+        live = isinstance(item, pytest.Function) and not LIVE_FIXTURES.isdisjoint(item.fixturenames)
+        if live and item.get_closest_marker("patient") is None:
             item.add_marker("system")
 
 

@@ -18,6 +18,8 @@ from common.messages import CameraDetections, LidarZone, LidarZones, RadarTrack,
 from common.runtime import Service
 from spotter_client import ServiceInfo, ServiceStatus, Verdict, connect
 
+pytestmark = pytest.mark.patient
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ZONES, TRACKS = "jetson0/lidar/zones", "pi0/radar/tracks"
 

@@ -18,6 +18,8 @@ from common.config import ServiceConfig, ZenohConfig
 from common.messages import CompressedImage, LidarZones
 from common.runtime import Service
 
+pytestmark = pytest.mark.patient
+
 bridge = pytest.importorskip("common.cli.foxglove_bridge", reason="needs the extra foxglove")
 
 Until = Callable[[Callable[[], object]], None]

@@ -18,6 +18,8 @@ from common.cli.__main__ import app
 from common.plots.message import _DRAWINGS, plot_message
 from common.plots.story import Story
 
+pytestmark = pytest.mark.patient
+
 runner = CliRunner()
 Until = Callable[[Callable[[], object]], None]
 

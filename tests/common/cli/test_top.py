@@ -16,6 +16,8 @@ from common.cli.overview import Observer, Overview, quantile
 from common.config import ServiceConfig, ZenohConfig
 from common.runtime import Service
 
+pytestmark = pytest.mark.patient
+
 Until = Callable[[Callable[[], object]], None]
 runner = CliRunner()
 
