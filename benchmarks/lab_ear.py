@@ -78,7 +78,7 @@ def count(session: zenoh.Session, seconds: float, more: list[str]) -> None:
         one = seen.setdefault(str(sample.key_expr), {"bytes": [], "ms": []})
         one["bytes"].append(len(payload))
         topic = topics.find_topic(str(sample.key_expr))
-        if topic is not None and topic.priority != "data_low":
+        if topic is not None and not topic.is_large:
             one["ms"].append((now_ns - decode(payload, topic.message).sent_ns) * 1e-6)
 
     wanted = [t for t in topics.DATA_TOPICS if not t.on_demand or t.name in more]

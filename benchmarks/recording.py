@@ -102,7 +102,7 @@ def changed(recording: Path, target: Path) -> Path:
     with RecordingFile(target, {}) as file:
         for one in read(recording):
             topic = find_topic(one.key)
-            if topic is None or topic.priority == "data_low":
+            if topic is None or topic.is_large:
                 continue
             message, payload = decode(one.payload, topic.message, topic.max_bytes), one.payload
             if isinstance(message, Verdict):

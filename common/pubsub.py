@@ -23,6 +23,7 @@ _PRIORITY = {
     "data_high": zenoh.Priority.DATA_HIGH,
     "data": zenoh.Priority.DATA,
     "data_low": zenoh.Priority.DATA_LOW,
+    "background": zenoh.Priority.BACKGROUND,
 }
 _CONGESTION = {
     "drop": zenoh.CongestionControl.DROP,

@@ -11,7 +11,7 @@ from typing import Literal
 
 from common import messages as m
 
-Priority = Literal["real_time", "interactive_high", "data_high", "data", "data_low"]
+Priority = Literal["real_time", "interactive_high", "data_high", "data", "data_low", "background"]
 Congestion = Literal["drop", "block_first"]
 
 
@@ -32,6 +32,11 @@ class Topic:
     priority: Priority = "data"
     congestion: Congestion = "drop"
     max_bytes: int = 1_000_000
+
+    @property
+    def is_large(self) -> bool:
+        """Clouds and pictures: behind everything else, and each kind in a queue of its own."""
+        return self.priority in ("data_low", "background")
 
     @property
     def name(self) -> str:
@@ -89,7 +94,7 @@ INFRA_TRACKS = Topic("infra_lidar", "tracks", m.ObjectTracks, 10.0, 0.5, priorit
 INFRA_CLUSTERS = Topic("infra_lidar", "clusters", m.Clusters, 10.0, on_demand=True)
 INFRA_POINTS = Topic(
     "infra_lidar", "points", m.PointCloud, 5.0, on_demand=True,
-    priority="data_low", congestion="block_first", max_bytes=16_000_000,
+    priority="background", congestion="block_first", max_bytes=16_000_000,
 )  # fmt: skip
 FUSION_VERDICT = Topic("fusion", "verdict", m.Verdict, 20.0, 0.25, priority="interactive_high")
 FUSION_HEALTH = Topic("fusion", "health", m.SystemHealth, 2.0, 2.0, priority="interactive_high")
@@ -123,7 +128,7 @@ def _raw(service: str, priority: Priority) -> Topic:
 
 
 RADAR_RAW, LIDAR_RAW = _raw("radar", "data"), _raw("lidar", "data")
-CAMERA_RAW, INFRA_RAW = _raw("camera", "data_low"), _raw("infra_lidar", "data_low")
+CAMERA_RAW, INFRA_RAW = _raw("camera", "data_low"), _raw("infra_lidar", "background")
 RAW_TOPICS = (RADAR_RAW, LIDAR_RAW, CAMERA_RAW, INFRA_RAW)
 
 

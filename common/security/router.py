@@ -77,6 +77,6 @@ def _downsampling(site: Site) -> list[dict[str, Any]]:
     rules = [
         {"key_expr": f"{site.namespace}/{topic.any_host}", "freq": topic.nominal_hz}
         for topic in DATA_TOPICS
-        if topic.priority == "data_low"
+        if topic.is_large
     ]
     return [{"id": "bulk", "link_protocols": ["tls"], "messages": ["put"], "flows": ["egress"], "rules": rules}]

@@ -21,7 +21,7 @@ def test_every_topic_is_owned_by_a_service() -> None:
 
 def test_large_topics_never_outrank_small_ones() -> None:
     for topic in DATA_TOPICS:
-        assert (topic.congestion == "block_first") == (topic.priority == "data_low"), topic.name
+        assert (topic.congestion == "block_first") == topic.is_large, topic.name
 
 
 @pytest.mark.parametrize(
