@@ -19,18 +19,24 @@ from time import thread_time
 import numpy as np
 from sklearn.ensemble import RandomForestClassifier
 
-from benchmarks.article_tracker import ArticleTracker
 from benchmarks.plain_infra_lidar import PlainPipeline, features, find_clusters, ground_and_rest
 from common.geometry import rotation_between, transform
 from common.sim import lidar128, roadside, world
 from services.infra_lidar.buffers import Buffers
-from services.infra_lidar.classes import CLASSES
+from services.infra_lidar.classes import CLASSES, LABELS
 from services.infra_lidar.clustering import Clustering
-from services.infra_lidar.config import ARTICLE_CLUSTERING, ARTICLE_GROUND, BackgroundConfig, InfraLidarConfig
+from services.infra_lidar.config import (
+    ARTICLE_CLUSTERING,
+    ARTICLE_GROUND,
+    ARTICLE_TRACKING,
+    BackgroundConfig,
+    InfraLidarConfig,
+)
 from services.infra_lidar.features import FEATURE_SETS, compute_features
 from services.infra_lidar.forest import Forest
 from services.infra_lidar.ground import Ground
 from services.infra_lidar.pipeline import InfraLidarPipeline
+from services.infra_lidar.tracking import Detections, MultiObjectTracker
 from services.infra_lidar.train import flatten
 
 FRAMES, TRAINING_SCENES = 12, 5
@@ -111,7 +117,8 @@ class ArticleByKernels:
         self._ground = Ground(ARTICLE_GROUND, buffers)
         self._clustering = Clustering(ARTICLE_CLUSTERING, ARTICLE_GROUND.range_max_m, buffers)
         self._forest = forest
-        self.tracker = ArticleTracker()
+        self.tracker = MultiObjectTracker(ARTICLE_TRACKING)
+        self._stamp_ns = START_NS
         self.timed = Timed()
 
     def process(self, frame: Frame) -> dict[str, np.ndarray]:
@@ -122,11 +129,18 @@ class ArticleByKernels:
         t = self.timed.add("cluster", t)
         table = compute_features(found.points, found.offsets, np.zeros(len(found), np.float32), NAMES)
         t = self.timed.add("features", t)
-        labels = self._forest.shares(table).argmax(axis=1)
+        shares = self._forest.shares(table)
+        labels = shares.argmax(axis=1)
         t = self.timed.add("forest", t)
-        centres = np.add.reduceat(found.points.astype(np.float64), found.offsets[:-1]) / found.counts[:, None]
-        objects = labels != 0
-        self.tracker.update(centres[objects], labels[objects])
+        centres, objects = found.means, np.flatnonzero(labels)
+        self._stamp_ns += 100_000_000
+        self.tracker.step(
+            self._stamp_ns,
+            Detections(
+                centres[objects], found.box[objects, 3:6], found.box[objects, 6], [LABELS[i] for i in labels[objects]],
+                shares[objects].max(axis=1, initial=0.0),
+            ),
+        )  # fmt: skip
         self.timed.add("track", t)
         return {"centres": centres, "labels": labels}
 

@@ -6,6 +6,16 @@ from typing import Any
 
 import numpy as np
 
+LINE_BYTES = 64  # a cache line, and the widest vector: one that crosses a line is loaded twice
+
+
+def aligned(length: int, dtype: Any) -> np.ndarray:
+    """An uninitialised (length,) array of ``dtype`` that begins at a cache line."""
+    wanted = length * np.dtype(dtype).itemsize
+    raw = np.empty(wanted + LINE_BYTES, np.uint8)
+    first = -raw.ctypes.data % LINE_BYTES
+    return raw[first : first + wanted].view(dtype)
+
 
 class Buffers:
     """Named arrays that grow to the largest size asked for. A view is valid until the same name is taken again."""
@@ -17,7 +27,7 @@ class Buffers:
         """An uninitialised (length,) array of ``dtype``."""
         array = self._arrays.get(name)
         if array is None or len(array) < length or array.dtype != dtype:
-            array = np.empty(length + length // 8, dtype)
+            array = aligned(length + length // 8, dtype)
             self._arrays[name] = array
         return array[:length]
 

@@ -29,18 +29,23 @@ MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by: they can on
 class ClusterPoints:
     """Clusters of one frame in the level frame.
 
-    cluster_id: (N,) int32 per point of the frame, -1 = none. points: (M, 3) float32, the transpose of a (3, M)
-    array, grouped; cluster k has
-    points[offsets[k]:offsets[k + 1]]. box: (K, 8) float32: centre x, y, z, length, width, height, yaw, gap to the road.
+    cluster_id: (N,) int32 per point of the frame, -1 = none. planar: (3, M) float32 x, y, z, grouped; cluster k has
+    planar[:, offsets[k]:offsets[k + 1]]. offsets: (K + 1,) int64. box: (K, 8) float32: centre x, y, z, length, width,
+    height, yaw, gap to the road. All but ``box`` are views into buffers, valid until the next frame.
     """
 
     cluster_id: np.ndarray
-    points: np.ndarray
+    planar: np.ndarray
     offsets: np.ndarray
     box: np.ndarray
 
     def __len__(self) -> int:
         return len(self.box)
+
+    @property
+    def points(self) -> np.ndarray:
+        """(M, 3) float32, the same points row by row."""
+        return self.planar.T
 
     @property
     def counts(self) -> np.ndarray:
@@ -50,30 +55,20 @@ class ClusterPoints:
     @property
     def means(self) -> np.ndarray:
         """(K, 3) float64, the mean of each cluster's points."""
-        if not len(self):
-            return np.zeros((0, 3))
-        return np.asarray(np.add.reduceat(self.points.astype(np.float64), self.offsets[:-1]) / self.counts[:, None])
-
-
-@dataclass(frozen=True)
-class _Points:
-    """Planar float32 points, their height above the road, and their index in the frame."""
-
-    x: np.ndarray
-    y: np.ndarray
-    z: np.ndarray
-    above: np.ndarray
-    source: np.ndarray
+        means = np.empty((len(self), 3))
+        clusters.means(self.planar, self.offsets, means)
+        return means
 
 
 @dataclass(frozen=True)
 class _Grouped:
     """Points that lie together by cluster: cluster k from offsets[k] to offsets[k + 1], with its measured box."""
 
-    points: _Points
+    points: np.ndarray  # (4, T) float32: x, y, z, above
+    source: np.ndarray
     offsets: np.ndarray
     box: np.ndarray
-    side: int  # which of the two sets of buffers holds the points
+    side: int  # which of the two sets of buffers holds them
 
 
 class Clustering:
@@ -86,152 +81,116 @@ class Clustering:
         reach = range_max_m / c if g == 0 else g / c * np.log1p(range_max_m / g)
         self.side = 2 * int(np.ceil(reach)) + 2
         words = (self.side + 63) // 64
-        self._once = np.zeros((self.side, words), np.uint64)
-        self._twice = np.zeros((self.side, words), np.uint64)
-        self._starts = np.zeros((self.side, words), np.uint64)
+        self._bits = np.zeros((3, self.side, words), np.uint64)
         self._rank = np.zeros((self.side, words), np.int32)
         self._row_start = np.zeros(self.side + 1, np.int32)
+        self._limits = np.array(
+            [config.min_points, config.max_points, config.max_height_m, config.min_top_m, config.max_diagonal_m],
+            np.float32,
+        )
 
     @property
     def nbytes(self) -> int:
         """Bytes of the cell grids."""
-        return sum(a.nbytes for a in (self._once, self._twice, self._starts, self._rank, self._row_start))
+        return self._bits.nbytes + self._rank.nbytes + self._row_start.nbytes
 
     def cluster(self, frame: Levelled) -> ClusterPoints:
         """Group the points of a frame that are not ground."""
-        config = self._config
-        x, y, z, above, source, low = self._candidates(frame)
-        label, components = self._components(x, y, low)
+        # Components of cells that are occupied as low as a body; what is higher joins tall ones, or is on its own
+        config, points = self._config, frame.points
+        label, components = self._components(points, len(frame.rest), self._body_m, "label")
         if config.body_height_m > 0:
-            self._join_high(label, above, low, components)
-            components = self._label_high(x, y, label, low, components)
-        found = self._arrange(label, components, _Points(x, y, z, above, source), 0, self._fewest_points)
+            components = self._label_high(points, label, components)
+        found = self._regroup(label, components, points, frame.rest, 0, self._fewest_points)
+
+        # Pieces of vehicles, then the article's second look
         if config.merge == "fragments":
-            found = self._join(found)
-        good = self._possible(found)
-        if config.trim_ground or config.split == "gap" or config.merge == "engulfed":
-            found = self._second_look(found, good)
-        else:
-            found = self._regroup(found, np.where(good, np.arange(len(good)), -1))
+            found = self._join_fragments(found)
+        found = self._second_look(found, self._possible(found))
         return self._result(frame, found)
 
-    def _candidates(self, frame: Levelled) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
-        m, take = len(frame.rest), self._buffers.take
-        x, y, z, above = (take(f"c_{name}", m, np.float32) for name in ("x", "y", "z", "above"))
-        source = take("c_source", m, np.int32)
-        low, _ = clusters.gather_points(
-            frame.rest, frame.x, frame.y, frame.z, frame.above_m, np.float32(self._config.body_height_m),
-            x, y, z, above, source,
+    def _components(self, points: np.ndarray, m: int, body_m: np.float32, name: str) -> tuple[np.ndarray, int]:
+        """Component of the first ``m`` points: the cells are filled by those lower than ``body_m``."""
+        config, take = self._config, self._buffers.take
+        label, scratch = take(name, m, np.int32), take("cells", 5 * (m + 1), np.int32).reshape(5, m + 1)
+        components = labels.label_points(
+            points, body_m, np.float32(config.cell_m), np.float32(config.cell_growth_m), config.min_cell_points > 1,
+            int(config.connectivity == 8), self._bits, self._rank, self._row_start, scratch, label,
         )  # fmt: skip
-        return x, y, z, above, source, low
-
-    def _components(self, x: np.ndarray, y: np.ndarray, low: int, name: str = "label") -> tuple[np.ndarray, int]:
-        """Component of every candidate: the cells are filled by the first ``low`` of them."""
-        config, m, take = self._config, len(x), self._buffers.take
-        row, column, label = take("row", m, np.int32), take("column", m, np.int32), take(name, m, np.int32)
-        zero = np.float32(0.0)
-        cell, growth = np.float32(config.cell_m), np.float32(config.cell_growth_m)
-        labels.grid_cells(x, y, zero, zero, cell, growth, self.side, row, column)
-        labels.occupy(row[:low], column[:low], self._once, self._twice)
-        bits = self._once if config.min_cell_points == 1 else self._twice
-        capacity = low + 1
-        parent, first, last = (take(name, capacity, np.int32) for name in ("parent", "first", "last"))
-        runs = labels.find_runs(bits, self._starts, self._rank, parent, first, last, self._row_start)
-        labels.join_rows(parent, first, last, self._row_start, int(config.connectivity == 8))
-        components = labels.number_components(parent, runs)
-        labels.point_labels(row, column, bits, self._starts, self._rank, parent, label)
         return label, components
 
-    def _join_high(self, label: np.ndarray, above: np.ndarray, low: int, components: int) -> None:
-        take, body_m = self._buffers.take, self._config.body_height_m
-        tall = take("tall", components, np.bool_)
-        in_band, total = take("in_band", components, np.int32), take("total", components, np.int32)
-        clusters.tall_components(
-            label[:low], above[:low], components, np.float32(body_m - TALL_BAND_M), np.float32(body_m),
-            TALL_SHARE, in_band, total, tall,
+    def _label_high(self, points: np.ndarray, label: np.ndarray, components: int) -> int:
+        """Give high points to tall components, and label those that join nothing: a roof behind other cars, or a
+        canopy. Returns the number of components."""
+        take = self._buffers.take
+        free = take("free", len(label), np.int32)
+        number = clusters.join_high(
+            label, points[3], components, self._body_m - np.float32(TALL_BAND_M), self._body_m, TALL_SHARE,
+            take("in_band", components, np.int32), take("total", components, np.int32), free,
         )  # fmt: skip
-        clusters.drop_high_of_low(label, low, tall)
-
-    def _label_high(self, x: np.ndarray, y: np.ndarray, label: np.ndarray, low: int, components: int) -> int:
-        """Components among the high points that joined nothing: a roof behind other cars, or a canopy."""
-        free = low + np.flatnonzero(label[low:] < 0)
-        if not len(free):
+        if number == 0:
             return components
-        high, found = self._components(x[free], y[free], len(free), "label_high")
+        free = free[:number]
+        high, found = self._components(np.ascontiguousarray(points[:, free]), number, np.float32(np.inf), "label_high")
         label[free] = np.where(high >= 0, high + components, -1)
         return components + found
+
+    @property
+    def _body_m(self) -> np.float32:
+        """Cells are filled by points lower than this."""
+        return np.float32(self._config.body_height_m or np.inf)
 
     @property
     def _fewest_points(self) -> int:
         """Components with fewer points are not looked at."""
         return 1 if self._config.merge == "fragments" else self._config.min_points
 
-    def _arrange(self, label: np.ndarray, components: int, points: _Points, side: int, fewest: int = 1) -> _Grouped:
+    def _regroup(
+        self, label: np.ndarray, components: int, points: np.ndarray, source: np.ndarray, side: int, fewest: int = 1
+    ) -> _Grouped:
         """Points by label, those of labels with ``fewest`` points or more, as copies that lie together."""
-        counts = self._buffers.take("counts", components, np.int32)
-        clusters.count_labels(label, counts)
-        keep = counts >= fewest
-        number = np.where(keep, np.cumsum(keep) - 1, -1).astype(np.int32)
-        offsets = np.concatenate([[0], np.cumsum(counts[keep], dtype=np.int64)])
-        total, take = int(offsets[-1]), self._buffers.take
-        axes = [take(f"side{side}_{name}", total, np.float32) for name in ("x", "y", "z", "above")]
-        there = _Points(axes[0], axes[1], axes[2], axes[3], take(f"side{side}_source", total, np.int32))
-        clusters.arrange(
-            label, number, offsets, points.x, points.y, points.z, points.above, points.source,
-            there.x, there.y, there.z, there.above, there.source,
+        m, take = len(source), self._buffers.take
+        offsets, box = take(f"offsets{side}", components + 1, np.int64), np.empty((components, 8), np.float32)
+        flat, there_source = take(f"points{side}", 4 * m, np.float32), take(f"source{side}", m, np.int32)
+        count, total = clusters.regroup(
+            label, components, fewest, points, source, take("number", components, np.int32), offsets, flat,
+            there_source, box,
         )  # fmt: skip
-        return _Grouped(there, offsets, _measured(there, offsets), side)
+        return _Grouped(
+            flat[: 4 * total].reshape(4, total), there_source[:total], offsets[: count + 1], box[:count], side
+        )
 
-    def _regroup(self, found: _Grouped, group: np.ndarray) -> _Grouped:
-        """Clusters with the same ``group`` become one; those of group -1 go. Untouched when nothing changes."""
-        if len(group) == 0 or np.array_equal(group, np.arange(len(group))):
-            return found
-        used, number = np.unique(group, return_inverse=True)
-        number = number.astype(np.int32) - (used[0] < 0)
-        label = np.repeat(number, np.diff(found.offsets))
-        return self._arrange(label, len(used) - int(used[0] < 0), found.points, 1 - found.side)
+    def _rejoin(self, found: _Grouped, group: np.ndarray) -> _Grouped:
+        """Clusters with the same ``group`` (K,) become one."""
+        label = self._buffers.take("label", len(found.source), np.int32)
+        clusters.relabel(group, found.offsets, label)
+        return self._regroup(label, len(found.box), found.points, found.source, 1 - found.side)
 
-    def _join(self, found: _Grouped) -> _Grouped:
+    def _join_fragments(self, found: _Grouped) -> _Grouped:
         """Join fragments of vehicles, and to tall ones the single returns along a side seen at a small angle."""
         group = np.empty(len(found.box), np.int32)
-        merging.merge_fragments(found.box, np.diff(found.offsets), MIN_FRAGMENT_POINTS, group)
-        adoption.adopt_strays(found.box, np.diff(found.offsets), self._config.min_points, group)
-        return self._regroup(found, group)
+        counts = np.diff(found.offsets)
+        merging.merge_fragments(found.box, counts, MIN_FRAGMENT_POINTS, group)
+        adoption.adopt_strays(found.box, counts, self._config.min_points, group)
+        return self._rejoin(found, group)
 
     def _possible(self, found: _Grouped) -> np.ndarray:
         """(K,) bool: clusters of a possible size."""
-        config, box, counts = self._config, found.box, np.diff(found.offsets)
-        good = (counts >= config.min_points) & (counts <= config.max_points)
-        good &= box[:, 5] <= config.max_height_m
-        good &= box[:, 7] + box[:, 5] >= config.min_top_m
-        good &= np.hypot(box[:, 3], box[:, 4]) <= config.max_diagonal_m
-        return np.asarray(good)
+        good = np.empty(len(found.box), bool)
+        clusters.possible(found.box, found.offsets, self._limits, good)
+        return good
 
     def _second_look(self, found: _Grouped, good: np.ndarray) -> _Grouped:
-        """The article's trim, split and merge of those clusters that are ``good``."""
-        config, count = self._config, len(found.box)
-        number = np.where(good, np.arange(count, dtype=np.int32), np.int32(-1))
-        label = np.repeat(number, np.diff(found.offsets))
-        p = found.points
-        if config.trim_ground:
-            splitting.trim_feet(p.z, found.box, found.offsets, label)
-        if config.split == "gap":
-            count = splitting.split_rows(p.x, p.y, p.z, found.offsets, label)
-        found = self._arrange(label, count, p, 1 - found.side)
-        if config.merge != "engulfed":
+        """Those clusters that are ``good``, trimmed, cut and joined if the article's way is set."""
+        config, total, take = self._config, len(found.source), self._buffers.take
+        trim, split, engulf = config.trim_ground, config.split == "gap", config.merge == "engulfed"
+        if good.all() and not (trim or split or engulf):
             return found
-        group = np.empty(len(found.box), np.int32)
-        splitting.join_engulfed(found.points.x, found.points.y, found.points.z, found.offsets, group)
-        return self._regroup(found, group)
+        label, scratch = take("label", total, np.int32), take("kept", 4 * total, np.float32).reshape(4, total)
+        count = splitting.second_look(found.points, found.offsets, found.box, good, trim, split, engulf, scratch, label)
+        return self._regroup(label, count, found.points, found.source, 1 - found.side)
 
     def _result(self, frame: Levelled, found: _Grouped) -> ClusterPoints:
         cluster_id = self._buffers.take("cluster_id", len(frame.x), np.int32)
-        p = found.points
-        clusters.write_ids(p.source, found.offsets, cluster_id)
-        return ClusterPoints(cluster_id, np.stack([p.x, p.y, p.z]).T, found.offsets, found.box)
-
-
-def _measured(points: _Points, offsets: np.ndarray) -> np.ndarray:
-    box = np.empty((len(offsets) - 1, 8), np.float32)
-    clusters.measure(points.x, points.y, points.z, points.above, offsets, box)
-    return box
+        clusters.write_ids(found.source, found.offsets, cluster_id)
+        return ClusterPoints(cluster_id, found.points[:3], found.offsets, found.box)

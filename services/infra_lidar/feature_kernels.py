@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
+from services.infra_lidar.buffers import aligned
 from services.infra_lidar.extremes import chosen_extent, low_high
 
 SLICES = 5
@@ -45,8 +46,8 @@ def geometry_features(
     The last four columns are filled elsewhere (1 for the hull ratio, else 0); ``hull_fill`` is 0 without ``with_hull``.
     """
     out = np.zeros((len(offsets) - 1, _WIDTH), np.float32)
-    largest = int(np.diff(offsets).max(initial=1))
-    scratch, bins = np.empty((6, largest), np.float32), np.empty(largest, np.uint8)
+    room = (int(np.diff(offsets).max(initial=1)) // 64 + 1) * 64
+    scratch, bins = aligned(6 * room, np.float32).reshape(6, room), aligned(room, np.uint8)
     _all_clusters(planar, offsets, ground_z_m, scratch, bins, with_hull, out)
     return out
 

@@ -14,18 +14,19 @@ import numpy as np
 
 from services.infra_lidar import kernels_ground as kernels
 from services.infra_lidar import kernels_surface as surfaces
-from services.infra_lidar.buffers import Buffers
+from services.infra_lidar.buffers import LINE_BYTES, Buffers
 from services.infra_lidar.config import GroundConfig
 
 END_BIN_M = 0.1
+LINE_FLOATS = LINE_BYTES // 4
 
 
 @dataclass(frozen=True)
 class Levelled:
     """One frame in the level frame: planar float32 views into buffers, valid until the next frame.
 
-    ground: (N,) bool. rest: (M,) int32 indices of points that are inside the limits and not ground.
-    above_m: (M,) float32 height of those above the local road. cell: (N,) int16 polar cell, -1 = clipped.
+    ground: (N,) bool. cell: (N,) int16 polar cell, -1 = clipped. rest: (M,) int32 indices of the points that are inside
+    the limits and not ground. points: (4, M or more) float32, their x, y, z and height above the local road.
     """
 
     x: np.ndarray
@@ -34,9 +35,14 @@ class Levelled:
     cell: np.ndarray
     ground: np.ndarray
     rest: np.ndarray
-    above_m: np.ndarray
+    points: np.ndarray
     returns: int = 0
     near: int = 0  # returns closer than ``near_m``
+
+    @property
+    def above_m(self) -> np.ndarray:
+        """(M,) float32 height above the local road."""
+        return self.points[3, : len(self.rest)]
 
 
 class Ground:
@@ -94,26 +100,29 @@ class Ground:
 
     def _level(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
         n, take = len(points), self.buffers.take
+        room = n + -n % LINE_FLOATS  # so that every row begins at a cache line
         frame = Levelled(
             x=take("x", n, np.float32), y=take("y", n, np.float32), z=take("z", n, np.float32),
             cell=take("cell", n, np.int16), ground=take("ground", n, np.bool_),
-            rest=take("rest", n + 1, np.int32), above_m=take("above", n + 1, np.float32),
+            rest=take("rest", n, np.int32), points=take("rest_points", 4 * room, np.float32).reshape(4, room),
         )  # fmt: skip
         config = self._config
         limits = np.array([config.range_max_m, config.height_min_m, config.height_max_m], np.float32)
         returns, near = kernels.level(
             points, T_level_sensor.astype(np.float32), self._near_m, limits, np.float32(config.ring_m), self.sectors,
-            frame.x, frame.y, frame.z, frame.cell,
+            take("block", 6 * kernels.BLOCK, np.float32).reshape(6, kernels.BLOCK), frame.x, frame.y, frame.z, frame.cell,
         )  # fmt: skip
         return replace(frame, returns=returns, near=near)
 
     def _label(self, frame: Levelled) -> Levelled:
-        config = self._config
+        config, take = self._config, self.buffers.take
         m = kernels.label_ground(
             frame.x, frame.y, frame.z, frame.cell, self.surface, np.float32(config.below_m),
-            np.float32(config.above_m), config.keep_below, frame.ground, frame.above_m, frame.rest,
+            np.float32(config.above_m), config.keep_below, take("block", kernels.BLOCK, np.float32),
+            take("keep", kernels.BLOCK, np.uint8), take("pick", kernels.BLOCK + 8, np.int32), frame.ground,
+            frame.points, frame.rest,
         )  # fmt: skip
-        return replace(frame, rest=frame.rest[:m], above_m=frame.above_m[:m])
+        return replace(frame, rest=frame.rest[:m])
 
     def _fit_surface(self) -> None:
         config = self._config

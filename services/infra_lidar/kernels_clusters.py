@@ -1,4 +1,8 @@
-"""Compiled measures of grouped clusters: extent along the axes of the footprint, height, local frames."""
+"""Compiled grouping of labelled points: copies that lie together by cluster, and what can be measured of them.
+
+Points are planar, (4, M or more) float32: x, y, z in the level frame and the height above the local road. ``source``
+(M,) int32 is their index in the frame.
+"""
 
 from __future__ import annotations
 
@@ -9,28 +13,62 @@ from services.infra_lidar.jit import kernel, sum_kernel
 
 
 @kernel
-def count_labels(label, counts):  # type: ignore[no-untyped-def]
-    """counts (K,) int32: points per label."""
-    counts[:] = 0
-    for i in range(label.shape[0]):
-        if label[i] >= 0:
-            counts[np.uint32(label[i])] += 1
+def regroup(label, components, fewest, points, source, number, offsets, flat, grouped_source, box):  # type: ignore[no-untyped-def]
+    """Copy the points so that those of a label lie together, label by label, and measure each of these clusters.
+
+    label (M,) int32 in -1 .. components - 1; labels of fewer than ``fewest`` points are left out, as is -1. Written:
+    offsets (K + 1,), where each cluster begins; flat, the head of which becomes a (4, T) array of points;
+    grouped_source (T,); box (K, 8), see ``measure``. number (components,) int32 is scratch. Returns (K, T).
+    """
+    clusters, total = _number_clusters(label, components, fewest, number, offsets)
+    there = flat[: 4 * total].reshape(4, total)
+    _arrange(label, number, offsets[:clusters], points, source, there, grouped_source)
+    measure(there, offsets[: clusters + 1], box)
+    return clusters, total
 
 
 @kernel
-def arrange(label, number, offsets, x, y, z, above, source, ax, ay, az, aa, asource):  # type: ignore[no-untyped-def]
-    """Copy the points so that those of cluster ``number[label]`` lie together, in their order; -1 is left out.
+def _number_clusters(label, components, fewest, number, offsets):  # type: ignore[no-untyped-def]
+    """number (components,): the cluster that a label becomes, -1 = left out. Returns (clusters, points)."""
+    number[:components] = 0
+    i, n = 0, label.shape[0]
+    while i < n:  # run by run: neighbours are mostly of one label, and its counter would be waited for every time
+        k, begin = label[i], i
+        while i < n and label[i] == k:
+            i += 1
+        if k >= 0:
+            number[np.uint32(k)] += i - begin
+    clusters, total = 0, 0
+    for c in range(components):
+        count = number[c]
+        number[c] = -1
+        if count >= fewest and count > 0:
+            offsets[clusters] = total
+            number[c] = clusters
+            clusters += 1
+            total += count
+    offsets[clusters] = total
+    return clusters, total
 
-    offsets (K + 1,) int64 is where each cluster begins.
-    """
-    slot = offsets[:-1].astype(np.uint32)  # unsigned indices need no check for a negative one
-    for i in range(label.shape[0]):
-        if label[i] >= 0:
-            k = number[np.uint32(label[i])]
-            if k >= 0:
-                j = slot[np.uint32(k)]
-                ax[j], ay[j], az[j], aa[j], asource[j] = x[i], y[i], z[i], above[i], source[i]
-                slot[np.uint32(k)] = j + np.uint32(1)
+
+@kernel
+def _arrange(label, number, begin, points, source, there, there_source):  # type: ignore[no-untyped-def]
+    """A stable counting sort by ``number[label]``, run by run."""
+    slot, i, n = begin.copy(), 0, label.shape[0]
+    x, y, z, above = points[0], points[1], points[2], points[3]
+    to_x, to_y, to_z, to_above = there[0], there[1], there[2], there[3]
+    while i < n:
+        k, first = label[i], i
+        while i < n and label[i] == k:
+            i += 1
+        k = number[np.uint32(k)] if k >= 0 else np.int32(-1)
+        if k < 0:
+            continue
+        j = np.uint64(slot[np.uint32(k)])
+        slot[np.uint32(k)] += i - first
+        for at in range(np.uint64(first), np.uint64(i)):
+            to_x[j], to_y[j], to_z[j], to_above[j], there_source[j] = x[at], y[at], z[at], above[at], source[at]
+            j += np.uint64(1)
 
 
 @sum_kernel
@@ -60,18 +98,16 @@ def _extent_along(x, y, x0, y0, c, s):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def measure(x, y, z, above, offsets, box):  # type: ignore[no-untyped-def]
+def measure(points, offsets, box):  # type: ignore[no-untyped-def]
     """Oriented extents of clusters whose points lie together: cluster k is offsets[k] to offsets[k + 1].
 
     box (K, 8) float32 is written: centre x, y, z, length, width, height (m, length along the larger principal axis of
     the footprint), yaw (rad), lowest height above the road.
     """
+    x, y, z, above = points[0], points[1], points[2], points[3]
     for k in range(offsets.shape[0] - 1):
         first, last = offsets[k], offsets[k + 1]
         n = last - first
-        if n <= 0:
-            box[k, :] = 0.0
-            continue
         if n == 1:  # most pieces are a single return
             box[k, 0], box[k, 1], box[k, 2], box[k, 7] = x[first], y[first], z[first], above[first]
             box[k, 3:7] = 0.0
@@ -96,46 +132,46 @@ def measure(x, y, z, above, offsets, box):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def gather_points(rest, x, y, z, above, below_body, gx, gy, gz, ga, source):  # type: ignore[no-untyped-def]
-    """Planar copies of the points to be clustered: the rest of a frame, lower than ``below_body`` above the road
-    (all if it is 0 or less). Those above come after them. Returns (low, all)."""
-    m = rest.shape[0]
-    low = 0
-    for j in range(m):
-        if below_body <= 0 or above[j] < below_body:
-            i = rest[j]
-            gx[low], gy[low], gz[low], ga[low], source[low] = x[i], y[i], z[i], above[j], i
-            low += 1
-    high = low
-    if below_body > 0:
-        for j in range(m):
-            if above[j] >= below_body:
-                i = rest[j]
-                gx[high], gy[high], gz[high], ga[high], source[high] = x[i], y[i], z[i], above[j], i
-                high += 1
-    return low, high
+def join_high(label, above, components, band_m, body_m, share, in_band, total, free):  # type: ignore[no-untyped-def]
+    """Points higher than ``body_m`` stay with a component that reaches the top of the body band, band_m to body_m: they
+    belong to it, not to a tree above. Others become -1.
 
-
-@kernel
-def tall_components(label, above, components, band_low, band_high, share, in_band, total, tall):  # type: ignore[no-untyped-def]
-    """Which components reach the top of the body band: their upper points belong to them, not to a tree above."""
+    free (M,) int32 is written: which points are high and belong to nothing; returns how many. in_band, total
+    (components,) int32 are scratch.
+    """
     in_band[:components] = 0
     total[:components] = 0
     for i in range(label.shape[0]):
-        k = label[i]
-        if k >= 0:
-            total[k] += 1
-            in_band[k] += (above[i] >= band_low) & (above[i] < band_high)
-    for k in range(components):
-        tall[k] = in_band[k] >= max(3.0, share * total[k])
+        if label[i] >= 0 and above[i] < body_m:
+            total[label[i]] += 1
+            in_band[label[i]] += above[i] >= band_m
+    number = 0
+    for i in range(label.shape[0]):
+        if above[i] >= body_m:
+            k = label[i]
+            if k >= 0 and in_band[k] < max(3.0, share * total[k]):
+                label[i] = -1
+            if label[i] < 0:
+                free[number] = i
+                number += 1
+    return number
 
 
 @kernel
-def drop_high_of_low(label, low, tall):  # type: ignore[no-untyped-def]
-    """Labels of points [low:] are kept only for tall components."""
-    for i in range(low, label.shape[0]):
-        if label[i] >= 0 and not tall[label[i]]:
-            label[i] = -1
+def possible(box, offsets, limits, good):  # type: ignore[no-untyped-def]
+    """good (K,) bool: clusters of a possible size. limits (6,) float32: fewest and most points, largest height, lowest
+    top above the road, longest diagonal of the footprint."""
+    for k in range(box.shape[0]):
+        n = offsets[k + 1] - offsets[k]
+        good[k] = (limits[0] <= n) & (n <= limits[1]) & (box[k, 5] <= limits[2])
+        good[k] &= (box[k, 7] + box[k, 5] >= limits[3]) & (np.hypot(box[k, 3], box[k, 4]) <= limits[4])
+
+
+@kernel
+def relabel(group, offsets, label):  # type: ignore[no-untyped-def]
+    """label (T,) of points that lie together: ``group`` (K,) int32 of their cluster."""
+    for k in range(group.shape[0]):
+        label[offsets[k] : offsets[k + 1]] = group[k]
 
 
 @kernel
@@ -145,3 +181,15 @@ def write_ids(source, offsets, cluster_id):  # type: ignore[no-untyped-def]
     for k in range(offsets.shape[0] - 1):
         for i in range(offsets[k], offsets[k + 1]):
             cluster_id[np.uint32(source[i])] = k
+
+
+@sum_kernel
+def means(points, offsets, out):  # type: ignore[no-untyped-def]
+    """out (K, 3) float64: the mean of each cluster's points (3 or more, M)."""
+    for k in range(out.shape[0]):
+        for axis in range(3):
+            values = points[axis, offsets[k] : offsets[k + 1]]
+            first, total = values[0], np.float64(0.0)
+            for i in range(len(values)):
+                total += np.float64(values[i] - first)
+            out[k, axis] = first + total / len(values)

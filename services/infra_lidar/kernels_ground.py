@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.kernels_rows import planar
 
 BLOCK = 2048
 BIN_M = 0.01  # resolution of the height histograms
@@ -38,23 +39,20 @@ def _angle(y, x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def level(points, T, near_m, limits, ring, sectors, x, y, z, cell):  # type: ignore[no-untyped-def]
+def level(points, T, near_m, limits, ring, sectors, scratch, x, y, z, cell):  # type: ignore[no-untyped-def]
     """Rotate and shift (N, 3+) float32 sensor-frame points into planar level-frame x, y, z (N,) float32.
 
     limits (3,) float32: largest range, lowest and highest z. cell (N,) int16 is the polar cell, ring * sectors +
-    sector, or CLIPPED. Points closer than NO_RETURN_M or not finite get z = NaN and are clipped. Returns (returns,
-    those of them closer than near_m).
+    sector, or CLIPPED. Points closer than NO_RETURN_M or not finite get z = NaN and are clipped. scratch (6, BLOCK)
+    float32. Returns (returns, those of them closer than near_m).
     """
     near2, near, returns = near_m * near_m, 0, 0
-    a, b, c = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    squared, sector = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    sensor, squared, sector = scratch[:4], scratch[4], scratch[5]
     for start in range(0, points.shape[0], BLOCK):
         n = min(BLOCK, points.shape[0] - start)
-        block = points[start : start + n]
-        for i in range(n):  # the only loop that reads the interleaved rows
-            a[i], b[i], c[i] = block[i, 0], block[i, 1], block[i, 2]
+        planar(points, start, n, sensor)
         bx, by, bz = x[start : start + n], y[start : start + n], z[start : start + n]
-        _turn(a[:n], b[:n], c[:n], T, squared[:n], bx, by, bz)
+        _turn(sensor[0, :n], sensor[1, :n], sensor[2, :n], T, squared[:n], bx, by, bz)
         block_returns, block_near = _count(squared[:n], near2)
         returns += block_returns
         near += block_near
@@ -157,38 +155,86 @@ def cell_heights(histogram, count, hist_min, share, min_points, height):  # type
 
 
 @kernel
-def label_ground(x, y, z, cell, surface, below, above, keep_below, ground, above_ground, rest):  # type: ignore[no-untyped-def]
+def label_ground(x, y, z, cell, surface, below, above, keep_below, height, keep, pick, ground, points, rest):  # type: ignore[no-untyped-def]
     """Label ground and gather the rest.
 
     surface (cells, 3) float32: z of the road at (x, y) is s0 + s1 x + s2 y. Writes ground (N,) bool, and for the
-    M other points inside the limits their height above the road and their index; returns M.
-    Points below the band are no obstacle (mirror images in puddles, ditches) unless ``keep_below``.
+    M other points inside the limits x, y, z and height above the road to points (4, N) float32 and their index to
+    rest; returns M. Points below the band are no obstacle (mirror images in puddles, ditches) unless ``keep_below``.
+    height (BLOCK,) float32, keep (BLOCK,) uint8 and pick (BLOCK + 8,) int32 are scratch.
     """
-    n, m = cell.shape[0], 0
-    height, keep = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.uint8)
-    s0, s1, s2 = surface[:, 0].copy(), surface[:, 1].copy(), surface[:, 2].copy()
-    level = not (s1.any() or s2.any())
+    n, m, words = cell.shape[0], 0, keep.view(np.uint64)
+    planes, flat = _planes(surface)
+    lowest = -below if keep_below else -FAR_M
     for start in range(0, n, BLOCK):
         stop = min(start + BLOCK, n)
-        bx, by, bz, bc, bg = x[start:stop], y[start:stop], z[start:stop], cell[start:stop], ground[start:stop]
-        if level:
-            for i in range(stop - start):
-                height[i] = bz[i] - s0[np.uint32(max(bc[i], np.int16(0)))]
-        else:
-            for i in range(stop - start):
-                c = np.uint32(max(bc[i], np.int16(0)))
-                height[i] = bz[i] - (s0[c] + s1[c] * bx[i] + s2[c] * by[i])
-        for i in range(stop - start):
-            bg[i] = (height[i] >= -below) & (height[i] <= above) & (bc[i] >= 0)
-        for i in range(stop - start):
-            keep[i] = ((height[i] > above) | (keep_below & (height[i] < -below))) & (bc[i] >= 0)
-        first = m
-        for i in range(stop - start):  # without branches: the next point overwrites what is not kept
-            rest[m] = start + i
-            m += keep[i]
-        for j in range(first, m):
-            above_ground[j] = height[rest[j] - start]
+        bx, by, bz, bh = x[start:stop], y[start:stop], z[start:stop], height[: stop - start]
+        _heights(bx, by, bz, cell[start:stop], planes, flat, bh)
+        keep[stop - start :] = 0
+        _choose(bh, below, above, lowest, ground[start:stop], keep)
+        picked = pick[: _pick(keep, words, stop - start, pick)]
+        last = m + len(picked)
+        _shift(picked, start, rest[m:last])
+        for k, values in enumerate((bx, by, bz, bh)):
+            _copy(values, picked, points[k, m:last])
+        m = last
     return m
+
+
+@kernel
+def _choose(height, below, above, lowest, ground, keep):  # type: ignore[no-untyped-def]
+    for i in range(len(height)):
+        ground[i] = (height[i] >= -below) & (height[i] <= above)
+    for i in range(len(height)):
+        keep[i] = (height[i] > above) | (height[i] < lowest)
+
+
+@kernel
+def _shift(index, by, out):  # type: ignore[no-untyped-def]
+    for j in range(len(index)):
+        out[j] = index[j] + np.int32(by)
+
+
+@kernel
+def _planes(surface):  # type: ignore[no-untyped-def]
+    """(3, cells + 1) of the planes, the first for clipped points: no height compares with NaN. And whether all are level."""
+    planes, flat = np.full((3, surface.shape[0] + 1), NOT_A_NUMBER), True
+    for c in range(surface.shape[0]):
+        for k in range(3):
+            planes[k, c + 1] = surface[c, k]
+        flat &= (surface[c, 1] == 0.0) & (surface[c, 2] == 0.0)
+    return planes, flat
+
+
+@kernel
+def _heights(x, y, z, cell, planes, flat, height):  # type: ignore[no-untyped-def]
+    """Height above the road of a block."""
+    s0, s1, s2 = planes[0], planes[1], planes[2]
+    if flat:
+        for i in range(len(z)):
+            height[i] = z[i] - s0[np.uint32(np.int32(cell[i]) + np.int32(1))]
+        return
+    for i in range(len(z)):
+        c = np.uint32(np.int32(cell[i]) + np.int32(1))
+        height[i] = z[i] - (s0[c] + s1[c] * x[i] + s2[c] * y[i])
+
+
+@kernel
+def _pick(keep, words, n, pick):  # type: ignore[no-untyped-def]
+    """Indices of what is kept, eight flags at a time; returns how many."""
+    m = 0
+    for w in range((n + 7) // 8):
+        if words[w] != 0:  # things come in runs, road in longer ones
+            for i in range(8 * w, 8 * w + 8):  # without branches: the next point overwrites what is not kept
+                pick[m] = i
+                m += keep[i]
+    return m
+
+
+@kernel
+def _copy(values, index, out):  # type: ignore[no-untyped-def]
+    for j in range(len(index)):
+        out[j] = values[np.uint32(index[j])]
 
 
 @kernel

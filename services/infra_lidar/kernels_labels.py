@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.kernels_cells import grid_cells
 
 ONE = np.uint64(1)
-STEPS = 1024  # of the table of scales
 
 
 @inline
@@ -33,53 +33,38 @@ def _find(parent, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def grid_cells(x, y, origin_x, origin_y, cell_m, growth_m, side, row, column):  # type: ignore[no-untyped-def]
-    """Cell of each point on a side x side grid centred on the origin; row, column (N,) int32 written.
+def label_points(points, body_m, cell_m, growth_m, two_points, eight, bits, rank, row_start, scratch, label):  # type: ignore[no-untyped-def]
+    """Component of every point, -1 = none; label (N,) int32 is written. Returns the number of components.
 
-    growth_m > 0: radii are compressed by f(r) = g / c * ln(1 + r / g), so that a cell measures c near the sensor and
-    c (1 + r / g) along the ray at range r. growth_m = 0: plain squares of cell_m.
+    points (4, N or more) float32: x, y, z, height above the road; those lower than ``body_m`` fill the cells.
+    two_points: a cell needs two to be occupied; eight: cells that touch at a corner are neighbours. bits (3, side,
+    words) uint64, rank (side, words) int32, row_start (side + 1,) int32 and scratch (5, N + 1 or more) int32 are
+    overwritten.
     """
-    half, last = np.int32(side // 2), np.int32(side - 1)
-    scales, per_m = _scales(cell_m, growth_m, side)
-    for i in range(x.shape[0]):
-        dx, dy = x[i] - origin_x, y[i] - origin_y
-        at = min(np.sqrt(dx * dx + dy * dy) * per_m, np.float32(STEPS - 1))
-        k = np.uint32(at)
-        scale = scales[k] + (at - np.float32(k)) * (scales[k + np.uint32(1)] - scales[k])
-        row[i] = min(max(np.int32(np.floor(dy * scale)) + half, np.int32(0)), last)
-        column[i] = min(max(np.int32(np.floor(dx * scale)) + half, np.int32(0)), last)
+    n, once, twice, starts = label.shape[0], bits[0], bits[1], bits[2]
+    row, column, parent, first, last = scratch[0, :n], scratch[1, :n], scratch[2], scratch[3], scratch[4]
+    grid_cells(points[0, :n], points[1, :n], cell_m, growth_m, once.shape[0], row, column)
+    occupy(row, column, points[3], body_m, once, twice)
+    occupied = twice if two_points else once
+    runs = find_runs(occupied, starts, rank, parent, first, last, row_start)
+    join_rows(parent, first, last, row_start, eight)
+    components = number_components(parent, runs)
+    point_labels(row, column, occupied, starts, rank, parent, label)
+    return components
 
 
 @kernel
-def _scales(cell_m, growth_m, side):  # type: ignore[no-untyped-def]
-    """f(r) / r at STEPS + 1 ranges, to be interpolated: a logarithm per point takes longer than all the rest.
-
-    Also the number of steps per metre. The grid that comes out is a little other than f says (a hundredth of a cell).
-    """
-    scales = np.full(STEPS + 1, np.float32(1.0) / cell_m, np.float32)
-    if growth_m <= 0:
-        return scales, np.float32(0.0)
-    reach = growth_m * (np.exp(side // 2 * cell_m / growth_m) - 1.0)
-    for k in range(1, STEPS + 1):
-        r = reach * k / (STEPS - 1)
-        scales[k] = growth_m / cell_m * np.log1p(r / growth_m) / r
-    return scales, np.float32((STEPS - 1) / reach)
-
-
-@kernel
-def occupy(row, column, once, twice):  # type: ignore[no-untyped-def]
-    """Set the bits of cells that hold one point or more, and of those that hold two or more."""
+def occupy(row, column, above, body_m, once, twice):  # type: ignore[no-untyped-def]
+    """Set the bits of cells that hold one point lower than ``body_m`` or more, and of those that hold two or more."""
     once[:] = 0
     twice[:] = 0
     ones, twos, words = once.reshape(once.size), twice.reshape(twice.size), np.uint32(once.shape[1])
     for i in range(row.shape[0]):
         at = np.uint32(np.uint32(row[i]) * words + (np.uint32(column[i]) >> np.uint32(6)))
-        bit = ONE << np.uint64(column[i] & 63)
+        bit = np.uint64(above[i] < body_m) << np.uint64(column[i] & 63)
         seen = ones[at]
-        if seen & bit:
-            twos[at] |= bit
-        else:
-            ones[at] = seen | bit
+        twos[at] |= seen & bit  # without branches: nobody can guess which cell comes next
+        ones[at] = seen | bit
 
 
 @kernel
@@ -167,22 +152,3 @@ def point_labels(row, column, bits, starts, rank, parent, label):  # type: ignor
             label[i] = parent[np.uint32(all_ranks[at] + _popcount(upto) - 1)]
         else:
             label[i] = -1
-
-
-@kernel
-def group(label, components, offsets, order):  # type: ignore[no-untyped-def]
-    """Stable counting sort: order[offsets[k]:offsets[k + 1]] are the points of component k. Labels < 0 are left out."""
-    offsets[: components + 1] = 0
-    for i in range(label.shape[0]):
-        if label[i] >= 0:
-            offsets[label[i] + 1] += 1
-    for k in range(components):
-        offsets[k + 1] += offsets[k]
-    for i in range(label.shape[0]):
-        k = label[i]
-        if k >= 0:
-            order[offsets[k]] = i
-            offsets[k] += 1
-    for k in range(components, 0, -1):
-        offsets[k] = offsets[k - 1]
-    offsets[0] = 0

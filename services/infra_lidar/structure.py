@@ -12,7 +12,7 @@ import numpy as np
 from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.ground import Levelled
-from services.infra_lidar.kernels_labels import grid_cells
+from services.infra_lidar.kernels_cells import grid_cells
 
 MIN_SHARE = 0.6
 
@@ -54,7 +54,7 @@ class StructureMap:
 
     def _cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         row, column = np.empty(len(x), np.int32), np.empty(len(x), np.int32)
-        zero, cell = np.float32(0.0), np.float32(self._config.cell_m)
         x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
-        grid_cells(x, y, zero, zero, cell, np.float32(self._config.cell_growth_m), self._side, row, column)
+        cell, growth = np.float32(self._config.cell_m), np.float32(self._config.cell_growth_m)
+        grid_cells(x, y, cell, growth, self._side, row, column)
         return row, column

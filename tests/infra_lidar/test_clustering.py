@@ -25,7 +25,7 @@ def _cluster(*parts, config=None):
     n = len(xyz)
     frame = Levelled(
         x=xyz[:, 0].copy(), y=xyz[:, 1].copy(), z=xyz[:, 2].copy(), cell=np.zeros(n, np.int16),
-        ground=np.zeros(n, bool), rest=np.arange(n, dtype=np.int32), above_m=xyz[:, 2].copy(),
+        ground=np.zeros(n, bool), rest=np.arange(n, dtype=np.int32), points=np.vstack([xyz.T, xyz.T[2:]]),
     )  # fmt: skip
     return Clustering(config or ClusteringConfig(), 100.0).cluster(frame), owner
 

