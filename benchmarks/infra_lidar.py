@@ -283,7 +283,7 @@ def memory() -> None:
     for k in range(14):
         pipeline.process(START_NS + k * 100_000_000, frame.points)
     model = pipeline.scene.background.model
-    model_mb = sum(a.nbytes for a in (model.bounds, model.road, model.surface)) / 1e6 if model else 0.0
+    model_mb = sum(a.nbytes for a in (model.ranges, model.surface, model.structure)) / 1e6 if model else 0.0
     ground, clustering = pipeline.scene.ground, pipeline.clustering
     print(
         f"\nbuffers: {ground.buffers.nbytes / 1e6:.1f} MB of points, {ground.nbytes / 1e6:.1f} MB of polar grid, "

@@ -8,12 +8,12 @@ only a short cut for returns: those it knows need no ground, no cluster and no c
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from services.infra_lidar import kernels_background as kernels
-from services.infra_lidar.buffers import Buffers
+from services.infra_lidar.buffers import LINE_FLOATS, Buffers
 from services.infra_lidar.config import BackgroundConfig
 
 MAX_RINGS = 128
@@ -21,14 +21,14 @@ MAX_RINGS = 128
 
 @dataclass(frozen=True)
 class BackgroundModel:
-    """What is kept on disk: squared bounds (cells, 4) float32, road (cells,) uint8, the grid and how much it explains.
+    """What is kept on disk: the known ranges (cells,) uint64 as ``kernels_background.pack`` makes them, the grid and how
+    much it explains.
 
     surface: (cells of the polar grid, 3) float32, the road at the time. structure: (2, side, side) bool, see
     ``structure.py``; empty until it is drawn.
     """
 
-    bounds: np.ndarray
-    road: np.ndarray
+    ranges: np.ndarray
     columns: int
     rows: int
     known_share: float
@@ -38,7 +38,8 @@ class BackgroundModel:
 
 @dataclass(frozen=True)
 class Sifted:
-    """A frame of N returns parted: fresh (M, C) with index ``source`` (M,), masks (N,), and what was counted."""
+    """A frame of N returns parted: fresh (3, M or more) x, y, z with index ``source`` (M,), masks (N,), and what was
+    counted. Views into buffers."""
 
     fresh: np.ndarray
     source: np.ndarray
@@ -73,15 +74,10 @@ class Background:
         """Part a frame (N, 3+) with the model in use; None while there is none or it does not fit this frame."""
         if self.model is None:
             return None
-        known, ground, source, returns, near = self._mark(points, self.model, near_m)
-        misfit = len(points) - len(source) < 0.6 * self.model.known_share * max(returns, 1)
+        sifted = self._part(points, self.model, near_m)
+        misfit = len(points) - len(sifted.source) < 0.6 * self.model.known_share * max(sifted.returns, 1)
         self._misfits = self._misfits + 1 if misfit else 0
-        if misfit:
-            return None
-        width = points.shape[1]
-        fresh = self._buffers.take("bg_fresh", len(source) * width, np.float32).reshape(len(source), width)
-        kernels.gather(points, source, fresh)
-        return Sifted(fresh, source, known, ground, returns, near)
+        return None if misfit else sifted
 
     @property
     def lost(self) -> bool:
@@ -92,8 +88,7 @@ class Background:
         """Take the stored model if it explains this frame nearly as well as it did when it was learned."""
         if self._trial is None:
             return
-        known = self._mark(points, self._trial, 0.0)[0]
-        if known.mean() >= 0.8 * self._trial.known_share:
+        if self._part(points, self._trial, 0.0).known.mean() >= 0.8 * self._trial.known_share:
             self.model = self._trial
         self._trial = None
 
@@ -138,21 +133,22 @@ class Background:
         kernels.mark_cells(points, self._columns, self._rows, ground, 1, road)
         kernels.mark_cells(points, self._columns, self._rows, road_user, 1, users)
         bounds[_widened(users.reshape(self._columns, self._rows)).ravel()] = (1.0, 0.0, 1.0, 0.0)
-        model = BackgroundModel(bounds, road, self._columns, self._rows, 1.0, surface.copy())
-        share = float(self._mark(points, model, 0.0)[0].mean())
-        return BackgroundModel(bounds, road, self._columns, self._rows, share, surface.copy())
+        ranges = np.empty(cells, np.uint64)
+        kernels.pack(bounds, road, ranges)
+        model = BackgroundModel(ranges, self._columns, self._rows, 1.0, surface.copy())
+        return replace(model, known_share=float(self._part(points, model, 0.0).known.mean()))
 
-    def _mark(
-        self, points: np.ndarray, model: BackgroundModel, near_m: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int]:
-        """Masks known and ground (N,), the index (M,) of what is not known, and the counts of returns."""
-        n, take = len(points), self._buffers.take
+    def _part(self, points: np.ndarray, model: BackgroundModel, near_m: float) -> Sifted:
+        n, take, block = len(points), self._buffers.take, kernels.BLOCK
+        room = n + -n % LINE_FLOATS
         known, ground = take("bg_known", n, np.bool_), take("bg_ground", n, np.bool_)
-        source = take("bg_source", n + 1, np.int32)
+        source, fresh = take("bg_source", n, np.int32), take("bg_fresh", 3 * room, np.float32).reshape(3, room)
         m, returns, near = kernels.sift(
-            points, model.columns, model.rows, model.bounds, model.road, np.float32(near_m), known, ground, source
-        )
-        return known, ground, source[:m], returns, near
+            points, model.columns, model.rows, model.ranges, np.float32(near_m),
+            take("block", 5 * block, np.float32).reshape(5, block), take("block_cell", block, np.uint32),
+            take("block_word", block, np.uint64), take("keep", block, np.uint8), take("pick", block + 8, np.int32), known, ground, source, fresh,
+        )  # fmt: skip
+        return Sifted(fresh, source[:m], known, ground, returns, near)
 
 
 def _widened(users: np.ndarray) -> np.ndarray:

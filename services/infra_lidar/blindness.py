@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from statistics import median
 from typing import Literal
-
-import numpy as np
 
 from services.infra_lidar.config import BlindnessConfig
 
@@ -40,7 +39,7 @@ class BlindnessWatch:
     def __init__(self, config: BlindnessConfig) -> None:
         self._config = config
         self._recent: deque[tuple[Returns, FrameQuality, float]] = deque(maxlen=config.window_frames)
-        self._usual: np.ndarray | None = None  # returns, beams, sectors
+        self._usual: tuple[float, float, float] | None = None  # returns, beams, sectors
 
     def judge(
         self, seen: Returns, quality: FrameQuality | None, total_ms: float, complaint: str
@@ -56,9 +55,8 @@ class BlindnessWatch:
 
     def _sight(self) -> list[str]:
         config = self._config
-        returns, near, beams, sectors = np.median(
-            [(s.returns, s.near, s.beams, s.sectors) for s, _, _ in self._recent], axis=0
-        )
+        returns, near = self._typical("returns"), self._typical("near")
+        beams, sectors = self._typical("beams"), self._typical("sectors")
         reasons = []
         if returns < config.min_points:
             return [f"only {returns:.0f} returns a frame: covered, or switched off"]
@@ -84,11 +82,18 @@ class BlindnessWatch:
         partial = sum(not q.complete for _, q, _ in self._recent)
         if partial * 2 > len(self._recent):
             reasons.append(f"{partial} of the last {len(self._recent)} revolutions are incomplete")
-        slow_ms = float(np.median([ms for _, _, ms in self._recent]))
+        slow_ms = median([ms for _, _, ms in self._recent])
         if slow_ms > config.budget_ms:
             reasons.append(f"processing takes {slow_ms:.0f} ms a frame, {config.budget_ms:g} are allowed")
         return reasons
 
     def _learn(self) -> None:
-        now = np.median([(s.returns, s.beams, s.sectors) for s, _, _ in self._recent], axis=0)
-        self._usual = now if self._usual is None else self._usual + USUAL_GAIN * (now - self._usual)
+        now = self._typical("returns"), self._typical("beams"), self._typical("sectors")
+        if self._usual is None:
+            self._usual = now
+        a, b, c = (old + USUAL_GAIN * (new - old) for old, new in zip(self._usual, now, strict=True))
+        self._usual = a, b, c
+
+    def _typical(self, what: str) -> float:
+        """Median over the last frames of a count of ``Returns``."""
+        return float(median([getattr(seen, what) for seen, _, _ in self._recent]))

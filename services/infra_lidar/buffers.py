@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 LINE_BYTES = 64  # a cache line, and the widest vector: one that crosses a line is loaded twice
+LINE_FLOATS = LINE_BYTES // 4
 
 
 def aligned(length: int, dtype: Any) -> np.ndarray:

@@ -14,11 +14,10 @@ import numpy as np
 
 from services.infra_lidar import kernels_ground as kernels
 from services.infra_lidar import kernels_surface as surfaces
-from services.infra_lidar.buffers import LINE_BYTES, Buffers
+from services.infra_lidar.buffers import LINE_FLOATS, Buffers
 from services.infra_lidar.config import GroundConfig
 
 END_BIN_M = 0.1
-LINE_FLOATS = LINE_BYTES // 4
 
 
 @dataclass(frozen=True)
@@ -74,10 +73,13 @@ class Ground:
         self._fit_surface()
         return self._label(frame)
 
-    def remove_known(self, points: np.ndarray, T_level_sensor: np.ndarray, surface: np.ndarray) -> Levelled:
-        """The same with a road that is known already: for the few points that are left of a frame."""
+    def remove_known(self, sensor: np.ndarray, n: int, T_level_sensor: np.ndarray, surface: np.ndarray) -> Levelled:
+        """The same with a road that is known already: for the few points that are left of a frame, n of them, planar
+        (3, n or more) float32."""
         self.surface[:] = surface
-        return self._label(self._level(points, T_level_sensor))
+        frame = self._room(n)
+        kernels.level_planar(sensor, n, *self._leveller(T_level_sensor), frame.x, frame.y, frame.z, frame.cell)
+        return self._label(frame)
 
     @property
     def nbytes(self) -> int:
@@ -91,28 +93,32 @@ class Ground:
 
     def road_height(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         """(K,) float32 height of the road below positions in the level frame, from the last frame's surface."""
-        ring = (np.hypot(x_m, y_m) / self._config.ring_m).astype(np.int64).clip(0, self.rings - 1)
-        sector = (
-            ((np.arctan2(y_m, x_m) + np.pi) * (self.sectors / (2 * np.pi))).astype(np.int64).clip(0, self.sectors - 1)
-        )
-        s = self.surface[ring * self.sectors + sector]
-        return np.asarray(s[:, 0] + s[:, 1] * x_m + s[:, 2] * y_m, np.float32)
+        height = np.empty(len(x_m), np.float32)
+        surfaces.road_height(x_m, y_m, self.surface, self._config.ring_m, self.rings, self.sectors, height)
+        return height
 
     def _level(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
-        n, take = len(points), self.buffers.take
+        frame = self._room(len(points))
+        T, *others = self._leveller(T_level_sensor)
+        returns, near = kernels.level(points, T, self._near_m, *others, frame.x, frame.y, frame.z, frame.cell)
+        return replace(frame, returns=returns, near=near)
+
+    def _room(self, n: int) -> Levelled:
+        """Buffers for n points."""
+        take = self.buffers.take
         room = n + -n % LINE_FLOATS  # so that every row begins at a cache line
-        frame = Levelled(
+        return Levelled(
             x=take("x", n, np.float32), y=take("y", n, np.float32), z=take("z", n, np.float32),
             cell=take("cell", n, np.int16), ground=take("ground", n, np.bool_),
             rest=take("rest", n, np.int32), points=take("rest_points", 4 * room, np.float32).reshape(4, room),
         )  # fmt: skip
+
+    def _leveller(self, T_level_sensor: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.float32, int, np.ndarray]:
+        """Transform, limits, cells and scratch of the levelling kernels."""
         config = self._config
         limits = np.array([config.range_max_m, config.height_min_m, config.height_max_m], np.float32)
-        returns, near = kernels.level(
-            points, T_level_sensor.astype(np.float32), self._near_m, limits, np.float32(config.ring_m), self.sectors,
-            take("block", 6 * kernels.BLOCK, np.float32).reshape(6, kernels.BLOCK), frame.x, frame.y, frame.z, frame.cell,
-        )  # fmt: skip
-        return replace(frame, returns=returns, near=near)
+        scratch = self.buffers.take("block", 6 * kernels.BLOCK, np.float32).reshape(6, kernels.BLOCK)
+        return T_level_sensor.astype(np.float32), limits, np.float32(config.ring_m), self.sectors, scratch
 
     def _label(self, frame: Levelled) -> Levelled:
         config, take = self._config, self.buffers.take

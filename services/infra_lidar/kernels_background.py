@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.kernels_ground import count_returns
+from services.infra_lidar.kernels_rows import copy_picked, pick_flagged, planar, shift_picked
 
 BLOCK = 1024
 MODES = 3
 FLICKER_SHARE = 0.2  # two ranges that take turns this often are both background; a queue takes turns far less often
 ROWS_WITHOUT_RINGS, ROWS_PER_RAD = 256, np.float32(256.0)  # 0.22 degrees, for clouds without a ring column
 NO_RETURN_M2 = np.float32(0.25)
+LEAST_BITS, LAST_STEP = np.int32(NO_RETURN_M2.view(np.int32)), 32767
 PI, HALF_PI = np.float32(np.pi), np.float32(np.pi / 2)
 
 
@@ -143,74 +146,94 @@ def mark_cells(points, columns, rows, chosen, value, table):  # type: ignore[no-
             table[column * rows + _row(points, i, rows, x * x + y * y + z * z)] = value
 
 
+@inline
+def _step(squared):  # type: ignore[no-untyped-def]
+    """A squared range as one of 32768 steps, each 0.05 % of the range: exponent and ten bits of the float, which are in
+    the order of the numbers. What is no number is the last step."""
+    bits = np.int32(np.float32(squared).view(np.int32))
+    return min(max((bits - LEAST_BITS) >> np.int32(13), np.int32(0)), np.int32(LAST_STEP))
+
+
 @kernel
-def sift(points, columns, rows, bounds, road, near_m, known, ground, source):  # type: ignore[no-untyped-def]
+def pack(bounds, road, packed):  # type: ignore[no-untyped-def]
+    """packed (cells,) uint64 of bounds (cells, 4) float32, two squared intervals, and road (cells,) uint8, 1 = the
+    background there is road: one look-up of eight bytes per return instead of five."""
+    for c in range(packed.shape[0]):
+        word = np.uint64(road[c]) << np.uint64(60)
+        for k in range(4):
+            step = np.uint64(_step(bounds[c, k]))
+            if bounds[c, k - k % 2] > bounds[c, k - k % 2 + 1]:
+                step = np.uint64(1 - k % 2)  # nothing lies between one and nought
+            word |= step << np.uint64(15 * k)
+        packed[c] = word
+
+
+@kernel
+def sift(points, columns, rows, packed, near_m, scratch, cell, word, keep, pick, known, ground, source, fresh):  # type: ignore[no-untyped-def]
     """Part returns that were always there from the rest.
 
-    points (N, C) float32 sensor frame; bounds (cells, 4); road (cells,) uint8, 1 = the background there is road.
-    Writes known and ground (N,) bool, and the index of the M others to source (N + 1,). Returns (M, returns, returns
-    nearer than near_m).
+    points (N, C) float32 sensor frame; packed (cells,) uint64. Writes known and ground (N,) bool, and of the M others
+    the index to source (N,) and x, y, z to fresh (3, N or more). Returns (M, returns, returns nearer than near_m).
+    scratch (5, BLOCK) float32, cell (BLOCK,) uint32, word (BLOCK,) uint64, keep (BLOCK,) uint8 and pick (BLOCK + 8,)
+    int32 are overwritten.
     """
-    n, flat = points.shape[0], bounds.reshape(bounds.size)
-    squared, cell = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.uint32)
+    n, words, sensor = points.shape[0], keep.view(np.uint64), scratch[:4]
     m, returns, near, near2 = 0, 0, 0, near_m * near_m
     for start in range(0, n, BLOCK):
-        size = min(BLOCK, n - start)
-        block, s, c = points[start : start + size], squared[:size], cell[:size]
-        _cells(block, columns, rows, s, c)
-        block_returns, block_near = np.int32(0), np.int32(0)
-        for i in range(size):
-            block_returns += np.int32(s[i] > NO_RETURN_M2)
-        for i in range(size):
-            block_near += np.int32((s[i] > NO_RETURN_M2) & (s[i] < near2))
+        stop = min(start + BLOCK, n)
+        size = stop - start
+        planar(points, start, size, sensor)
+        x, y, z, squared, at = sensor[0, :size], sensor[1, :size], sensor[2, :size], scratch[4, :size], cell[:size]
+        _cells(x, y, z, sensor[3, :size], points.shape[1] > 4, columns, rows, squared, at)
+        block_returns, block_near = count_returns(squared, near2)
         returns += block_returns
         near += block_near
-        _recognise(s, c, flat, road, known[start : start + size], ground[start : start + size])
-        for i in range(size):  # without branches: the next point overwrites what is known
-            source[m] = start + i
-            m += np.int64(not known[start + i])
+        keep[size:] = 0
+        _recognise(squared, at, packed, word, known[start:stop], ground[start:stop], keep)
+        picked = pick[: pick_flagged(keep, words, size, pick)]
+        last = m + len(picked)
+        shift_picked(picked, start, source[m:last])
+        for k, values in enumerate((x, y, z)):
+            copy_picked(values, picked, fresh[k, m:last])
+        m = last
     return m, returns, near
 
 
 @kernel
-def gather(points, source, fresh):  # type: ignore[no-untyped-def]
-    """fresh (M, C): the rows ``source`` (M,) of points (N, C)."""
-    for j in range(source.shape[0]):
-        i = np.uint32(source[j])
-        for k in range(points.shape[1]):
-            fresh[j, k] = points[i, k]
-
-
-@kernel
-def _cells(block, columns, rows, squared, cell):  # type: ignore[no-untyped-def]
+def _cells(x, y, z, ring, has_ring, columns, rows, squared, cell):  # type: ignore[no-untyped-def]
     """Squared distance and cell of the points of a block."""
     per_column, last, many = np.float32(columns / (2.0 * np.pi)), np.int32(columns - 1), np.int32(rows)
-    n = block.shape[0]
-    x, y, z, row = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.int32)
-    for i in range(n):  # planar first: what follows is vectorised
-        x[i], y[i], z[i] = block[i, 0], block[i, 1], block[i, 2]
-    for i in range(n):
+    for i in range(len(x)):
         squared[i] = x[i] * x[i] + y[i] * y[i] + z[i] * z[i]
-    for i in range(n):
-        row[i] = _row(block, i, rows, squared[i])
-    for i in range(n):
+    for i in range(len(x)):
         column = min(np.int32((_angle(y[i], x[i]) + PI) * per_column), last)
-        cell[i] = np.uint32(column * many + row[i])
+        cell[i] = np.uint32(max(column, np.int32(0)) * many)
+    if has_ring:
+        for i in range(len(x)):
+            cell[i] += np.uint32(min(max(np.int32(ring[i]), np.int32(0)), many - np.int32(1)))
+    else:
+        for i in range(len(x)):
+            step = np.int32(z[i] / np.sqrt(max(squared[i], NO_RETURN_M2)) * ROWS_PER_RAD) + many // np.int32(2)
+            cell[i] += np.uint32(min(max(step, np.int32(0)), many - np.int32(1)))
 
 
 @kernel
-def _recognise(squared, cell, bounds, road, known, ground):  # type: ignore[no-untyped-def]
-    """known: the range lies in one of the two intervals of its cell, or nothing came back; ground: of the road."""
-    n = squared.shape[0]
-    road_here = np.empty(n, np.uint8)
-    first, second = np.empty(n, np.float32), np.empty(n, np.float32)  # how deep in each interval; negative: not
+def _recognise(squared, cell, packed, word, known, ground, keep):  # type: ignore[no-untyped-def]
+    """known: the range lies in one of the two intervals of its cell, or nothing came back; ground: of the road; keep:
+    not known. ``cell`` becomes the step of the range."""
+    n, mask = len(squared), np.uint64(LAST_STEP)
     for i in range(n):
-        at = cell[i] * np.uint32(4)
-        first[i] = min(squared[i] - bounds[at], bounds[at + np.uint32(1)] - squared[i])
-        second[i] = min(squared[i] - bounds[at + np.uint32(2)], bounds[at + np.uint32(3)] - squared[i])
+        word[i] = packed[cell[i]]
     for i in range(n):
-        road_here[i] = road[cell[i]]
+        cell[i] = np.uint32(_step(squared[i]))
     for i in range(n):
-        ground[i] = ((first[i] >= 0) | (second[i] >= 0)) & (squared[i] > NO_RETURN_M2) & (road_here[i] == 1)
+        step = np.uint64(cell[i])
+        first = (step >= (word[i] & mask)) & (step <= ((word[i] >> np.uint64(15)) & mask))
+        second = (step >= ((word[i] >> np.uint64(30)) & mask)) & (step <= ((word[i] >> np.uint64(45)) & mask))
+        keep[i] = np.uint8(first | second) | np.uint8(((word[i] >> np.uint64(60)) & np.uint64(1)) << np.uint64(1))
     for i in range(n):
-        known[i] = (first[i] >= 0) | (second[i] >= 0) | (not squared[i] > NO_RETURN_M2)
+        ground[i] = (keep[i] == 3) & (squared[i] > NO_RETURN_M2)
+    for i in range(n):
+        known[i] = ((keep[i] & 1) == 1) | (not squared[i] > NO_RETURN_M2)
+    for i in range(n):
+        keep[i] = not known[i]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, kernel
-from services.infra_lidar.kernels_rows import planar
+from services.infra_lidar.kernels_rows import copy_picked, pick_flagged, planar, shift_picked
 
 BLOCK = 2048
 BIN_M = 0.01  # resolution of the height histograms
@@ -46,20 +46,31 @@ def level(points, T, near_m, limits, ring, sectors, scratch, x, y, z, cell):  # 
     sector, or CLIPPED. Points closer than NO_RETURN_M or not finite get z = NaN and are clipped. scratch (6, BLOCK)
     float32. Returns (returns, those of them closer than near_m).
     """
-    near2, near, returns = near_m * near_m, 0, 0
+    near2, near, returns, per_ring = near_m * near_m, 0, 0, np.float32(1.0) / ring
     sensor, squared, sector = scratch[:4], scratch[4], scratch[5]
     for start in range(0, points.shape[0], BLOCK):
         n = min(BLOCK, points.shape[0] - start)
+        stop = start + n
         planar(points, start, n, sensor)
-        bx, by, bz = x[start : start + n], y[start : start + n], z[start : start + n]
+        bx, by, bz = x[start:stop], y[start:stop], z[start:stop]
         _turn(sensor[0, :n], sensor[1, :n], sensor[2, :n], T, squared[:n], bx, by, bz)
-        block_returns, block_near = _count(squared[:n], near2)
+        block_returns, block_near = count_returns(squared[:n], near2)
         returns += block_returns
         near += block_near
-        _polar_cells(
-            bx, by, bz, limits, np.float32(1.0) / ring, sectors, squared[:n], sector[:n], cell[start : start + n]
-        )
+        _polar_cells(bx, by, bz, limits, per_ring, sectors, squared[:n], sector[:n], cell[start:stop])
     return returns, near
+
+
+@kernel
+def level_planar(sensor, n, T, limits, ring, sectors, scratch, x, y, z, cell):  # type: ignore[no-untyped-def]
+    """The same for n points that are planar already, sensor (3, n or more) float32, and counted."""
+    squared, sector, per_ring = scratch[4], scratch[5], np.float32(1.0) / ring
+    for start in range(0, n, BLOCK):
+        stop = min(start + BLOCK, n)
+        m = stop - start
+        bx, by, bz = x[start:stop], y[start:stop], z[start:stop]
+        _turn(sensor[0, start:stop], sensor[1, start:stop], sensor[2, start:stop], T, squared[:m], bx, by, bz)
+        _polar_cells(bx, by, bz, limits, per_ring, sectors, squared[:m], sector[:m], cell[start:stop])
 
 
 @kernel
@@ -81,7 +92,7 @@ def _turn(a, b, c, T, squared, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _count(squared, near2):  # type: ignore[no-untyped-def]
+def count_returns(squared, near2):  # type: ignore[no-untyped-def]
     """(returns, near returns) by squared distance."""
     least, most = NO_RETURN_M * NO_RETURN_M, FAR_M * FAR_M
     returns, near = np.int32(0), np.int32(0)
@@ -172,11 +183,11 @@ def label_ground(x, y, z, cell, surface, below, above, keep_below, height, keep,
         _heights(bx, by, bz, cell[start:stop], planes, flat, bh)
         keep[stop - start :] = 0
         _choose(bh, below, above, lowest, ground[start:stop], keep)
-        picked = pick[: _pick(keep, words, stop - start, pick)]
+        picked = pick[: pick_flagged(keep, words, stop - start, pick)]
         last = m + len(picked)
-        _shift(picked, start, rest[m:last])
+        shift_picked(picked, start, rest[m:last])
         for k, values in enumerate((bx, by, bz, bh)):
-            _copy(values, picked, points[k, m:last])
+            copy_picked(values, picked, points[k, m:last])
         m = last
     return m
 
@@ -190,14 +201,8 @@ def _choose(height, below, above, lowest, ground, keep):  # type: ignore[no-unty
 
 
 @kernel
-def _shift(index, by, out):  # type: ignore[no-untyped-def]
-    for j in range(len(index)):
-        out[j] = index[j] + np.int32(by)
-
-
-@kernel
 def _planes(surface):  # type: ignore[no-untyped-def]
-    """(3, cells + 1) of the planes, the first for clipped points: no height compares with NaN. And whether all are level."""
+    """(3, cells + 1) of the planes, the first for clipped points: no height compares with NaN. And: are all level?"""
     planes, flat = np.full((3, surface.shape[0] + 1), NOT_A_NUMBER), True
     for c in range(surface.shape[0]):
         for k in range(3):
@@ -217,24 +222,6 @@ def _heights(x, y, z, cell, planes, flat, height):  # type: ignore[no-untyped-de
     for i in range(len(z)):
         c = np.uint32(np.int32(cell[i]) + np.int32(1))
         height[i] = z[i] - (s0[c] + s1[c] * x[i] + s2[c] * y[i])
-
-
-@kernel
-def _pick(keep, words, n, pick):  # type: ignore[no-untyped-def]
-    """Indices of what is kept, eight flags at a time; returns how many."""
-    m = 0
-    for w in range((n + 7) // 8):
-        if words[w] != 0:  # things come in runs, road in longer ones
-            for i in range(8 * w, 8 * w + 8):  # without branches: the next point overwrites what is not kept
-                pick[m] = i
-                m += keep[i]
-    return m
-
-
-@kernel
-def _copy(values, index, out):  # type: ignore[no-untyped-def]
-    for j in range(len(index)):
-        out[j] = values[np.uint32(index[j])]
 
 
 @kernel

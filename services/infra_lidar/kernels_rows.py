@@ -1,4 +1,4 @@
-"""Rows of points to planar columns, sixteen rows at a time.
+"""Rows of points to planar columns, sixteen rows at a time, and picking some of them.
 
 Read one by one, interleaved rows cost more than what is computed from them: the compiler does not see that sixteen
 rows of five are five whole vectors to be shuffled. So the shuffle is spelled out, as generic LLVM that fits any
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
@@ -67,3 +68,32 @@ def planar(points, first, n, out):  # type: ignore[no-untyped-def]
             out[k, i] = points[first + i, k]
         if width > 4:
             out[3, i] = points[first + i, 4]
+
+
+@kernel
+def pick_flagged(flag, words, n, pick):  # type: ignore[no-untyped-def]
+    """Indices (M,) int32 of the set ones among n flags (n rounded up to 8,) uint8, eight at a time; returns M.
+
+    words is ``flag`` seen as uint64. pick has room for n + 8.
+    """
+    m = 0
+    for w in range((n + 7) // 8):
+        if words[w] != 0:  # what is wanted comes in runs, and what is not in longer ones
+            for i in range(8 * w, 8 * w + 8):  # without branches: the next one overwrites what is not wanted
+                pick[m] = i
+                m += flag[i]
+    return m
+
+
+@kernel
+def copy_picked(values, picked, out):  # type: ignore[no-untyped-def]
+    """out (M,): the picked ones of the values."""
+    for j in range(len(picked)):
+        out[j] = values[np.uint32(picked[j])]
+
+
+@kernel
+def shift_picked(picked, by, out):  # type: ignore[no-untyped-def]
+    """out (M,) int32: the picked indices in the whole frame, of which the block begins at ``by``."""
+    for j in range(len(picked)):
+        out[j] = picked[j] + np.int32(by)

@@ -122,11 +122,14 @@ class Scene:
         assert self.background.model is not None
         if self._keeper.due(stamp_ns):  # now and then the whole frame is looked at
             self._look_after(stamp_ns, points, self.ground.remove(points, calibration.T_level_sensor))
-        frame = self.ground.remove_known(sifted.fresh, calibration.T_level_sensor, self.background.model.surface)
-        ground = sifted.ground.copy()
+        ground = sifted.ground.copy()  # first: the buffers are used again
+        known = sifted.known.copy()
+        frame = self.ground.remove_known(
+            sifted.fresh, len(sifted.source), calibration.T_level_sensor, self.background.model.surface
+        )
         ground[sifted.source] = frame.ground
         seen = Returns(len(points), sifted.returns, sifted.near, self._beam_count, self._sector_count)
-        return Parted(frame, sifted.source, ground, sifted.known.copy(), seen)
+        return Parted(frame, sifted.source, ground, known, seen)
 
     def _look_after(self, stamp_ns: int, points: np.ndarray, frame: Levelled) -> None:
         """Count beams and directions of a whole frame, and watch for a nudge."""

@@ -88,10 +88,10 @@ def read_background(path: Path) -> BackgroundModel:
     """Raises ``ValueError`` or ``KeyError`` when it is no background model."""
     with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
         model = BackgroundModel(
-            bounds=file["bounds"], road=file["road"], columns=int(file["columns"]), rows=int(file["rows"]),
+            ranges=file["ranges"], columns=int(file["columns"]), rows=int(file["rows"]),
             known_share=float(file["known_share"]), surface=file["surface"], structure=file["structure"],
         )  # fmt: skip
     cells = model.columns * model.rows
-    if model.bounds.shape != (cells, 4) or model.road.shape != (cells,):
-        raise ValueError(f"{model.bounds.shape} bounds for {cells} cells")
+    if model.ranges.shape != (cells,) or model.ranges.dtype != np.uint64:
+        raise ValueError(f"{model.ranges.dtype} {model.ranges.shape} ranges for {cells} cells")
     return model

@@ -12,7 +12,7 @@ import numpy as np
 from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.ground import Levelled
-from services.infra_lidar.kernels_cells import grid_cells
+from services.infra_lidar.kernels_cells import grid_cells, lie_within
 
 MIN_SHARE = 0.6
 
@@ -23,7 +23,7 @@ class StructureMap:
     def __init__(self, config: ClusteringConfig, range_max_m: float) -> None:
         self._config = config
         self._side = Clustering(config, range_max_m).side
-        self._body_m = config.body_height_m or np.inf
+        self._body_m = np.float32(config.body_height_m or np.inf)
 
     def drawn_by_this(self, drawn: np.ndarray) -> bool:
         """Whether a map is on this grid; an empty one is on any."""
@@ -45,16 +45,14 @@ class StructureMap:
 
     def inside(self, drawn: np.ndarray, found: ClusterPoints, ground_z_m: np.ndarray) -> np.ndarray:
         """(K,) bool: clusters that lie within the structure."""
-        if not len(found):
-            return np.zeros(0, bool)
-        row, column = self._cells(found.points[:, 0], found.points[:, 1])
-        above_m = found.points[:, 2] - np.repeat(ground_z_m, found.counts)
-        hit = drawn[(above_m >= self._body_m).astype(np.int64), row, column]
-        return np.asarray(np.add.reduceat(hit.astype(np.int64), found.offsets[:-1]) >= MIN_SHARE * found.counts)
+        x, y, z = found.planar
+        row, column = self._cells(x, y)
+        within = np.empty(len(found), bool)
+        lie_within(drawn, row, column, z, found.offsets, ground_z_m, self._body_m, MIN_SHARE, within)
+        return within
 
     def _cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         row, column = np.empty(len(x), np.int32), np.empty(len(x), np.int32)
-        x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
         cell, growth = np.float32(self._config.cell_m), np.float32(self._config.cell_growth_m)
         grid_cells(x, y, cell, growth, self._side, row, column)
         return row, column

@@ -55,7 +55,7 @@ def test_an_empty_scene_is_known_after_learning():
     road = points[:, 2] < -4.8
     assert (sifted.ground == road)[sifted.known].mean() > 0.99
     assert np.array_equal(np.sort(sifted.source), np.flatnonzero(~sifted.known))
-    assert np.array_equal(sifted.fresh, points[sifted.source])
+    assert np.array_equal(sifted.fresh[:, : len(sifted.source)].T, points[sifted.source, :3])
 
 
 def test_an_obstacle_that_stops_is_never_hidden():
