@@ -211,7 +211,7 @@ class CompressedImage(SensorMessage, kw_only=True):
 ObjectLabel = Literal["car", "large_vehicle", "cyclist", "pedestrian", "background", "unknown"]
 
 
-class ObjectTrack(msgspec.Struct, kw_only=True):
+class ObjectTrack(msgspec.Struct, kw_only=True, gc=False):
     track_id: Count
     label: ObjectLabel
     label_confidence: Fraction

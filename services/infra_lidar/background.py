@@ -21,8 +21,8 @@ MAX_RINGS = 128
 
 @dataclass(frozen=True)
 class BackgroundModel:
-    """What is kept on disk: the known ranges (cells,) uint64 as ``kernels_background.pack`` makes them, the grid and how
-    much it explains.
+    """What is kept on disk: the known ranges (cells,) uint64 as ``kernels_background.pack`` makes them, the grid and
+    how much it explains.
 
     surface: (cells of the polar grid, 3) float32, the road at the time. structure: (2, side, side) bool, see
     ``structure.py``; empty until it is drawn.
@@ -146,7 +146,8 @@ class Background:
         m, returns, near = kernels.sift(
             points, model.columns, model.rows, model.ranges, np.float32(near_m),
             take("block", 5 * block, np.float32).reshape(5, block), take("block_cell", block, np.uint32),
-            take("block_word", block, np.uint64), take("keep", block, np.uint8), take("pick", block + 8, np.int32), known, ground, source, fresh,
+            take("block_word", block, np.uint64), take("keep", block, np.uint8), take("pick", block + 8, np.int32),
+            known, ground, source, fresh,
         )  # fmt: skip
         return Sifted(fresh, source[:m], known, ground, returns, near)
 

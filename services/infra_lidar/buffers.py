@@ -28,7 +28,7 @@ class Buffers:
         """An uninitialised (length,) array of ``dtype``."""
         array = self._arrays.get(name)
         if array is None or len(array) < length or array.dtype != dtype:
-            array = aligned(length + length // 8, dtype)
+            array = aligned(length + length // 32, dtype)
             self._arrays[name] = array
         return array[:length]
 

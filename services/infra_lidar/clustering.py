@@ -184,8 +184,10 @@ class Clustering:
         """Those clusters that are ``good``, trimmed, cut and joined if the article's way is set."""
         config, total, take = self._config, len(found.source), self._buffers.take
         trim, split, engulf = config.trim_ground, config.split == "gap", config.merge == "engulfed"
-        if good.all() and not (trim or split or engulf):
-            return found
+        if not (trim or split or engulf):
+            return (
+                found if good.all() else self._rejoin(found, np.where(good, np.arange(len(good)), -1).astype(np.int32))
+            )
         label, scratch = take("label", total, np.int32), take("kept", 4 * total, np.float32).reshape(4, total)
         count = splitting.second_look(found.points, found.offsets, found.box, good, trim, split, engulf, scratch, label)
         return self._regroup(label, count, found.points, found.source, 1 - found.side)

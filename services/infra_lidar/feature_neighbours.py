@@ -204,11 +204,21 @@ def _all_clusters(planar, offsets, scratch, stage, start, lanes, with_median, ou
 
 
 @_inline
-def _place(i, cell, start, u, v, w, u0, v0, w0, a, b, c):  # type: ignore[no-untyped-def]
-    """Put point i into the next place of its cell."""
-    at = np.uint32(start[cell[i] + np.uint32(1)])
-    a[at], b[at], c[at] = u[i] - u0, v[i] - v0, w[i] - w0
-    start[cell[i] + np.uint32(1)] = at + 1
+def _turn(i, quarter):  # type: ignore[no-untyped-def]
+    """The i-th of all points when the four quarters take turns."""
+    return np.uint32(i) if i >= 4 * quarter else np.uint32((i & 3) * quarter + (i >> 2))
+
+
+@_jit
+def _axes(chunk, low, size):  # type: ignore[no-untyped-def]
+    """Longest, second and shortest axis of a cluster; its lower corner and size are written."""
+    for j in range(3):
+        low[j], most = low_high(chunk[j])
+        size[j] = most - low[j]
+    first, third = np.argmax(size), np.argmin(size)
+    if third == first:  # a cube, or all points in one place
+        third = (first + 1) % 3
+    return first, 3 - first - third, third
 
 
 @_jit
@@ -217,16 +227,8 @@ def _fill_grid(chunk, start, a, b, c):  # type: ignore[no-untyped-def]
 
     Afterwards cell i holds the points start[i]:start[i + 1], relative to the corner of the grid.
     """
-    n = chunk.shape[1]
-    low, size = np.empty(3, np.float32), np.empty(3, np.float32)
-    for j in range(3):
-        low[j], most = low_high(chunk[j])
-        size[j] = most - low[j]
-    first = np.argmax(size)
-    third = np.argmin(size)
-    if third == first:  # a cube, or all points in one place
-        third = (first + 1) % 3
-    second = 3 - first - third
+    n, low, size = chunk.shape[1], np.empty(3, np.float32), np.empty(3, np.float32)
+    first, second, third = _axes(chunk, low, size)
     cell_m = max(math.sqrt(_PER_CELL * size[first] * size[second] / n), _PER_CELL * size[first] / n, 1e-4)
     rows, columns = int(size[first] / cell_m) + 1, int(size[second] / cell_m) + 1
     u, v, w, u0, v0, w0 = chunk[first], chunk[second], chunk[third], low[first], low[second], low[third]
@@ -237,18 +239,15 @@ def _fill_grid(chunk, start, a, b, c):  # type: ignore[no-untyped-def]
         cell[i] = row * np.int32(columns) + min(np.int32((v[i] - v0) * scale), last_column)
     start[: rows * columns + 2] = 0
     quarter = n // 4
-    for i in range(quarter):  # four at a time from far apart: neighbours wait for each other's counter
-        for part in range(4):
-            start[cell[i + part * quarter] + np.uint32(2)] += 1
-    for i in range(4 * quarter, n):
-        start[cell[i] + np.uint32(2)] += 1
+    for i in range(n):  # from far apart in turn: neighbours would wait for each other's counter
+        start[cell[_turn(i, quarter)] + np.uint32(2)] += 1
     for i in range(rows * columns):
         start[i + 2] += start[i + 1]
-    for i in range(quarter):
-        for part in range(4):
-            _place(i + part * quarter, cell, start, u, v, w, u0, v0, w0, a, b, c)
-    for i in range(4 * quarter, n):
-        _place(i, cell, start, u, v, w, u0, v0, w0, a, b, c)
+    for i in range(n):
+        j = _turn(i, quarter)
+        at = np.uint32(start[cell[j] + np.uint32(1)])
+        a[at], b[at], c[at] = u[j] - u0, v[j] - v0, w[j] - w0
+        start[cell[j] + np.uint32(1)] = at + 1
     return rows, columns, cell_m
 
 

@@ -165,10 +165,17 @@ def _walk(
 @_jit
 def _calibrate(shares: np.ndarray, known_x: np.ndarray, known_y: np.ndarray) -> None:
     """Forest shares (K, C) to probabilities, in place: interpolated between the measured points, summing to 1."""
+    last = known_x.shape[1] - 1
     for k in range(len(shares)):
         total = np.float32(0.0)
         for c in range(shares.shape[1]):
-            shares[k, c] = np.interp(shares[k, c], known_x[c], known_y[c]) + 1e-6
+            x, y, share, b = known_x[c], known_y[c], shares[k, c], 0
+            while b < last and x[b + 1] < share:
+                b += 1
+            part = np.float32(0.0)
+            if b < last and x[b + 1] > x[b]:
+                part = min(max((share - x[b]) / (x[b + 1] - x[b]), np.float32(0.0)), np.float32(1.0))
+            shares[k, c] = y[b] + part * (y[min(b + 1, last)] - y[b]) + np.float32(1e-6)
             total += shares[k, c]
         for c in range(shares.shape[1]):
             shares[k, c] /= total

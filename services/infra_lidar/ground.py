@@ -81,6 +81,12 @@ class Ground:
         kernels.level_planar(sensor, n, *self._leveller(T_level_sensor), frame.x, frame.y, frame.z, frame.cell)
         return self._label(frame)
 
+    def look(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
+        """Level a sample of a frame, and note in which directions there is something; what is road is not asked."""
+        frame = self._level(points, T_level_sensor)
+        self._count[:] = np.bincount(frame.cell[frame.cell >= 0], minlength=len(self._count))
+        return frame
+
     @property
     def nbytes(self) -> int:
         """Bytes of the polar grid."""
@@ -99,8 +105,10 @@ class Ground:
 
     def _level(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
         frame = self._room(len(points))
-        T, *others = self._leveller(T_level_sensor)
-        returns, near = kernels.level(points, T, self._near_m, *others, frame.x, frame.y, frame.z, frame.cell)
+        T, limits, ring_m, sectors, scratch = self._leveller(T_level_sensor)
+        returns, near = kernels.level(
+            points, T, self._near_m, limits, ring_m, sectors, scratch, frame.x, frame.y, frame.z, frame.cell
+        )
         return replace(frame, returns=returns, near=near)
 
     def _room(self, n: int) -> Levelled:

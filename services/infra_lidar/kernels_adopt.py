@@ -12,6 +12,7 @@ import numpy as np
 
 from services.infra_lidar.jit import inline, kernel
 from services.infra_lidar.kernels_merge import LARGE_GAP_M, LARGE_LENGTH_M, LARGE_TOP_M, SMALL_TOP_M
+from services.infra_lidar.ordering import rising
 
 CROSS_M, CROSS_SLOPE = 0.25, 0.006  # a gap, seen from the sensor, is at most two beams wide and 25 cm
 WIDTH_M = 2.9  # a bus is 2.55 m wide; the rest is noise and a direction that is a little off
@@ -57,7 +58,10 @@ def _grow(box, members, strays, yaw, strict, taken):  # type: ignore[no-untyped-
     if u1 - u0 > LARGE_LENGTH_M or v1 - v0 > WIDTH_M:
         return 0
     number = 0
-    for i in np.argsort(np.abs(c * box[strays, 0] + s * box[strays, 1] - 0.5 * (u0 + u1))):
+    away = np.empty(len(strays))
+    for i in range(len(strays)):
+        away[i] = abs(c * box[strays[i], 0] + s * box[strays[i], 1] - 0.5 * (u0 + u1))
+    for i in rising(away):
         k = strays[i]
         a, b, d, e = _interval(box, k, c, s)
         if max(a - u1, u0 - b) > _longest_gap(box, k, c, s):
@@ -89,11 +93,15 @@ def _keep_outline(box, strays, c, s, v0, v1, top, taken):  # type: ignore[no-unt
 
 
 @kernel
-def _near(box, members, loose):  # type: ignore[no-untyped-def]
-    """Loose pieces within a vehicle's length of the first member."""
-    k = members[0]
-    dx, dy = box[loose, 0] - box[k, 0], box[loose, 1] - box[k, 1]
-    return loose[dx * dx + dy * dy < np.float32(LARGE_LENGTH_M**2)]
+def _near(box, core, loose, size, group, min_points):  # type: ignore[no-untyped-def]
+    """Pieces that are still loose, within a vehicle's length of piece ``core``."""
+    near, number = np.empty(len(loose), np.int64), 0
+    for k in loose:
+        dx, dy = box[k, 0] - box[core, 0], box[k, 1] - box[core, 1]
+        if dx * dx + dy * dy < LARGE_LENGTH_M**2 and size[group[k]] < min_points:
+            near[number] = k
+            number += 1
+    return near[:number]
 
 
 @kernel
@@ -127,12 +135,28 @@ def adopt_strays(box, counts, min_points, group):  # type: ignore[no-untyped-def
     for k in range(total):
         size[group[k]] += counts[k]
         top[group[k]] = max(top[group[k]], box[k, 7] + box[k, 5])
-    loose = np.flatnonzero((size[group] < min_points) & (box[:, 7] + box[:, 5] <= LARGE_TOP_M))
-    cores = np.flatnonzero((size >= min_points) & (top > SMALL_TOP_M) & (top <= LARGE_TOP_M))
-    for g in cores[np.argsort(-size[cores])]:
-        members = np.flatnonzero(group == g)
-        strays = _near(box, members, loose)
-        strays = strays[size[group[strays]] < min_points]
-        if len(strays):
-            for k in strays[_best(box, members, strays)]:
-                group[k] = g
+    loose, number = np.empty(total, np.int64), 0
+    for k in range(total):
+        loose[number] = k
+        number += size[group[k]] < min_points and box[k, 7] + box[k, 5] <= LARGE_TOP_M
+    loose = loose[:number]
+    for g in rising(-size.astype(np.float64)):
+        if size[g] < min_points:
+            break
+        if SMALL_TOP_M < top[g] <= LARGE_TOP_M:
+            _adopt(box, g, _near(box, g, loose, size, group, min_points), group)
+
+
+@kernel
+def _adopt(box, g, strays, group):  # type: ignore[no-untyped-def]
+    """Let group g take its share of the strays. A group's number is that of its first member."""
+    if len(strays) == 0:
+        return
+    members, number = np.empty(len(group), np.int64), 0
+    for k in range(g, len(group)):
+        members[number] = k
+        number += group[k] == g
+    best = _best(box, members[:number], strays)
+    for i in range(len(strays)):
+        if best[i]:
+            group[strays[i]] = g

@@ -64,8 +64,9 @@ def _scale_table(cell_m, growth_m, side):  # type: ignore[no-untyped-def]
 
 @kernel
 def lie_within(drawn, row, column, z, offsets, ground_z, body_m, min_share, within):  # type: ignore[no-untyped-def]
-    """within (K,) bool: clusters of which ``min_share`` of the points or more are on the map drawn (2, side, side) bool,
-    below and above ``body_m`` over the road, ground_z (K,). Their cells row, column (M,) and z (M,) lie together."""
+    """within (K,) bool: clusters of which ``min_share`` of the points or more are on the map drawn (2, side, side)
+    bool, below and above ``body_m`` over the road, ground_z (K,). Their cells row, column (M,) and z (M,) lie together.
+    """
     low, high = drawn[0], drawn[1]
     for k in range(within.shape[0]):
         hits, top = 0, ground_z[k] + body_m

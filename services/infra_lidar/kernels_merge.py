@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.ordering import rising
 
 SMALL_LENGTH_M, SMALL_WIDTH_M, SMALL_TOP_M = 5.3, 2.2, 2.2
 LARGE_LENGTH_M, LARGE_WIDTH_M, LARGE_TOP_M = 14.0, 3.3, 4.5
@@ -107,28 +108,38 @@ def merge_fragments(box, counts, min_count, group):  # type: ignore[no-untyped-d
 
     box (K, 8) as measured by ``kernels_clusters.measure``; group (K,) int32 is written: smallest member's index.
     """
-    total = len(counts)
-    usable = np.empty(total, np.int64)
-    n = 0
-    for k in range(total):
+    usable = _usable(box, counts, min_count)
+    for k in range(len(counts)):
         group[k] = k
-        top = box[k, 7] + box[k, 5]
-        if counts[k] >= min_count and box[k, 3] <= LARGE_LENGTH_M and top <= LARGE_TOP_M and not _vulnerable(box, k):
-            usable[n] = k
-            n += 1
-    usable = usable[:n]
-    usable = usable[np.argsort(box[usable, 0] - 0.5 * np.hypot(box[usable, 3], box[usable, 4]))]
     pairs, gaps = _near_pairs(box, usable)
-    for p in np.argsort(gaps):
+    members = np.empty(len(usable), np.int64)
+    for p in rising(gaps):
         a, b = pairs[p, 0], pairs[p, 1]
         ga, gb = group[a], group[b]
         if ga == gb:
             continue
-        members = usable[(group[usable] == ga) | (group[usable] == gb)]
-        if _fits(box, members, a, b, gaps[p]):
-            target = min(ga, gb)
-            for k in members:
-                group[k] = target
+        number = 0
+        for k in usable:
+            members[number] = k
+            number += (group[k] == ga) | (group[k] == gb)
+        if _fits(box, members[:number], a, b, gaps[p]):
+            for k in members[:number]:
+                group[k] = min(ga, gb)
+
+
+@kernel
+def _usable(box, counts, min_count):  # type: ignore[no-untyped-def]
+    """Pieces that may be part of a vehicle, by the left end of their footprint."""
+    chosen, left, n = np.empty(len(counts), np.int64), np.empty(len(counts)), 0
+    for k in range(len(counts)):
+        top = box[k, 7] + box[k, 5]
+        if counts[k] >= min_count and box[k, 3] <= LARGE_LENGTH_M and top <= LARGE_TOP_M and not _vulnerable(box, k):
+            chosen[n], left[n] = k, box[k, 0] - 0.5 * np.hypot(box[k, 3], box[k, 4])
+            n += 1
+    order = rising(left[:n])
+    for i in range(n):
+        order[i] = chosen[order[i]]
+    return order
 
 
 @kernel

@@ -17,6 +17,8 @@ from services.infra_lidar.ground import Ground, Levelled
 from services.infra_lidar.kernels_ground import beams_seen
 from services.infra_lidar.structure import StructureMap
 
+WATCH_EVERY = 7  # of the points, odd: so that every beam is among them
+
 
 @dataclass(frozen=True)
 class Parted:
@@ -120,8 +122,9 @@ class Scene:
 
     def _rest(self, stamp_ns: int, points: np.ndarray, sifted: Sifted, calibration: Calibration) -> Parted:
         assert self.background.model is not None
-        if self._keeper.due(stamp_ns):  # now and then the whole frame is looked at
-            self._look_after(stamp_ns, points, self.ground.remove(points, calibration.T_level_sensor))
+        if self._keeper.due(stamp_ns):  # now and then what is known is looked at, too
+            sample = np.ascontiguousarray(points[::WATCH_EVERY])
+            self._look_after(stamp_ns, sample, self.ground.look(sample, calibration.T_level_sensor))
         ground = sifted.ground.copy()  # first: the buffers are used again
         known = sifted.known.copy()
         frame = self.ground.remove_known(
@@ -132,7 +135,7 @@ class Scene:
         return Parted(frame, sifted.source, ground, known, seen)
 
     def _look_after(self, stamp_ns: int, points: np.ndarray, frame: Levelled) -> None:
-        """Count beams and directions of a whole frame, and watch for a nudge."""
+        """Count beams and directions of a frame or a sample of it, and watch for a nudge."""
         if not self._complete:
             return
         self._beam_count = int(beams_seen(points[:, 4], self._beams)) if points.shape[1] > 4 else 0

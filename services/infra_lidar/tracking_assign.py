@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from services.infra_lidar.jit import kernel
+from services.infra_lidar.ordering import rising
 from services.infra_lidar.tracking_filter import innovation
 
 FORBIDDEN = 1e6
@@ -76,7 +77,7 @@ def allowed_pairs(tracks: np.ndarray, detections: np.ndarray, p: Any) -> tuple[n
     for d in range(count):
         x[d] = detections[d].position[0]
         extent[d] = 0.5 * (detections[d].size[0] + detections[d].size[1]) if p.visible else 0.0
-    order = np.argsort(x)
+    order = rising(x)
     x, widest = x[order], extent.max() if count else 0.0
     room = _ROOM * len(tracks) + 16
     rows, columns, costs, found = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room), 0

@@ -9,6 +9,7 @@ import numpy as np
 
 from services.infra_lidar.classes import BACKGROUND, CLASSES
 from services.infra_lidar.jit import kernel
+from services.infra_lidar.ordering import rising
 from services.infra_lidar.tracking_assign import another_size
 
 _SAME_CLASS = 0.3  # chance of being of one class from which on a piece may belong to a whole
@@ -64,7 +65,7 @@ def absorb_doubles(tracks: np.ndarray) -> np.ndarray:
     into, x, reach = np.full(count, -1, np.int64), np.empty(count), np.empty(count)
     for t in range(count):
         x[t], reach[t] = tracks[t].mean[0], 0.5 * (tracks[t].size[0] + tracks[t].size[1])
-    order = np.argsort(x)
+    order = rising(x)
     farthest = reach.max() if count else 0.0
     for i in range(count):
         one = order[i]

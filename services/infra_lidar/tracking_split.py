@@ -13,6 +13,7 @@ import numpy as np
 
 from services.infra_lidar.classes import CLASSES
 from services.infra_lidar.jit import kernel
+from services.infra_lidar.ordering import rising
 
 _CYCLIST, _PEDESTRIAN = CLASSES.index("cyclist"), CLASSES.index("pedestrian")
 _PERSON_M = 1.6  # no person on foot, and no cyclist across, is wider
@@ -88,7 +89,7 @@ def _predicted_inside(tracks: np.ndarray, who: np.ndarray, seen: Any) -> tuple[n
             if abs(u) < 0.5 * length + _MARGIN_M and abs(v) < 0.5 * width + _MARGIN_M and found < _MOST:
                 inside[found], place[found] = t, u if length >= width else v
                 found += 1
-    order = np.argsort(place[:found])
+    order = rising(place[:found])
     return inside[:found][order], place[:found][order]
 
 
