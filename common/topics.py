@@ -81,6 +81,9 @@ OPTIONAL_SERVICES: tuple[ServiceRow, ...] = (ServiceRow("ego", "jetson0", "jetso
 # On as many hosts as site.toml says.
 SERVICES_OF_ANY_HOST: tuple[ServiceRow, ...] = (ServiceRow("blackbox", "jetson0", "record"),)
 
+# Of no site: `spotter record` says under this name that it runs, on a host or, with its status alone, on a laptop.
+RECORDER = "recorder"
+
 RADAR_TRACKS = Topic("radar", "tracks", m.RadarTracks, 10.0, 0.5, priority="data_high")
 RADAR_DETECTIONS = Topic("radar", "detections", m.RadarDetections, 10.0, on_demand=True)
 LIDAR_SCAN = Topic("lidar", "scan", m.LaserScan, 10.0)

@@ -178,8 +178,9 @@ def test_a_running_recorder_is_shown_with_its_file_until_it_ends(
 ) -> None:
     browser.open(url)
     browser.wait(f"{text_of('recording')}.includes('no recorder')")
-    with open_session(ZenohConfig(connect=(module_router,))) as session:
-        presence = RecorderPresence(session, "laptop1")
+    config = ZenohConfig(connect=(module_router,))
+    with open_session(config) as session, open_session(config) as witness:
+        presence = RecorderPresence(session, "laptop1", witness)
         status = RecorderStatus(messages=1200, bytes=34_000_000, dropped=0, free_bytes=70 * 10**9, file="x/drive.mcap")
         presence.tell(status)
         browser.wait(f"{text_of('recording')}.includes('Recording on laptop1: drive.mcap: 1200 messages, 34.0 MB')")
