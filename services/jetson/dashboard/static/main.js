@@ -44,7 +44,7 @@ function draw() {
   soundFor(level);
   drawHealth(health, cut);
   drawSensors(health, verdict);
-  drawLatency(health, verdict);
+  drawLatency(health, verdict, newest("fusion/status"));
   drawServices(state.entries, silentMs());
   drawRecording(state.entries, silentMs());
   drawHistory(state.verdicts, state.healths);
