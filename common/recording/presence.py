@@ -33,6 +33,8 @@ class RecorderPresence:
         self._session, self._key = session, status_topic(RECORDER).key(host)
         self._report, self._seq, self._lost = Report(instance), 0, 0
         self._token = session.liveliness().declare_token(token_key(host, RECORDER, instance))
+        self._word = b""
+        self._answers = session.declare_queryable(self._key, self._answer)
         self._heard = threading.Event()
         self._witness = witness.declare_subscriber(self._key, lambda _: self._heard.set())
 
@@ -48,9 +50,16 @@ class RecorderPresence:
         self._report.state("degraded" if status.dropped else "online", self.words(status))
         message = self._report.snapshot()
         message.seq, message.sent_ns, message.published = self._seq, utc_ns(), status.messages
+        self._word = encode(message)
         # No declared publisher: that one waits to be told of listeners, which a laptop's rules do not let in.
-        self._session.put(self._key, encode(message), encoding=encoding_of(ServiceStatus))
+        self._session.put(self._key, self._word, encoding=encoding_of(ServiceStatus))
         self._seq += 1
+
+    def _answer(self, query: zenoh.Query) -> None:
+        """`spotter ls` asks; before the first second nobody knows anything."""
+        with query:
+            if self._word:
+                query.reply(self._key, self._word, encoding=encoding_of(ServiceStatus))
 
     @staticmethod
     def words(status: RecorderStatus) -> str:
