@@ -19,7 +19,6 @@ log = logging.getLogger("zenoh")
 OPEN_ATTEMPT_MS = 500  # open() ignores signals while it waits, so it waits briefly and often
 UNDECLARE_ATTEMPTS = 200
 UNDECLARE_PAUSE_S = 0.002
-QUEUE_BATCHES = {"data_low": 4, "background": 12}  # of 64 kB: a few pictures, three clouds
 CLOSE_BUDGET_S = 0.7  # close() during a network cut takes 10 s; nobody waits for that
 
 
@@ -44,8 +43,6 @@ def zenoh_settings(config: ZenohConfig) -> dict[str, Any]:
         "transport/link/tx/lease": config.lease_ms,
         "transport/link/tx/keep_alive": 4,
         "transport/shared_memory/enabled": False,
-        # What finds its receiver off the processor waits a little instead of costing the next one.
-        "transport/link/tx/queue/size": QUEUE_BATCHES,
     }
     if config.namespace:
         settings["namespace"] = config.namespace
