@@ -204,6 +204,25 @@ def test_a_running_recorder_is_shown_with_its_file_until_it_ends(
     browser.wait(f"{text_of('recording')}.includes('no recorder')")
 
 
+def test_a_phone_asks_for_what_is_on_its_screen(browser: Any, fusion: Fusion, url: str, module_router: str) -> None:
+    """Pictures are made only once the camera's view is scrolled to, and no longer when it is left."""
+    with Service("camera", ServiceConfig(host="jetson0", zenoh=ZenohConfig(connect=(module_router,)))) as camera:
+        publish = camera.publisher(topics.CAMERA_IMAGE)
+
+        def wanted_is(wanted: bool) -> bool:
+            browser.run("0")  # a round trip: the page goes on
+            return publish.wanted == wanted
+
+        browser.open(url, 360, 740)
+        browser.wait(f"{text_of('level')} == 'SAFE'")
+        assert not publish.wanted
+        for place, wanted in (("t-camera", True), ("level", False)):
+            browser.run(f"document.getElementById('{place}').scrollIntoView()")
+            deadline_s = time.monotonic() + 20
+            while not wanted_is(wanted):
+                assert time.monotonic() < deadline_s, place
+
+
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize(("width", "height"), [(360, 740), (768, 1024), (1400, 1000), (3840, 2160)])
 def test_it_fits_every_screen_and_can_be_read(

@@ -1,4 +1,6 @@
 // Verdict, health bar, tables and history: everything that is text.
+import { ageMs } from "/static/store.js";
+
 const NO_VERDICT_AFTER_MS = 300;
 const NO_HEALTH_AFTER_MS = 2500;
 const SIGNS = { SAFE: "✓", CAUTION: "!", IMMINENT: "✕" };
@@ -64,12 +66,12 @@ export function drawSensors(health, verdict) {
   fill(byId("sensors"), Object.entries(health.message.sensors).map(([name, sensor]) => {
     const input = inputs[name];
     const level = input && input.level;
-    const ageMs = input && input.age_ms !== null ? input.age_ms + verdict.ageMs : sensor.age_ms === null ? null : sensor.age_ms + health.ageMs;
+    const aged = input && input.age_ms !== null ? input.age_ms + verdict.ageMs : sensor.age_ms === null ? null : sensor.age_ms + health.ageMs;
     return [
       [name],
       [sensor.state === "online" ? "online" : `${sensor.state} since ${sensor.since_ns ? clock(sensor.since_ns) : "the start"}`, sensor.state],
       [level ?? "nothing", level ? `${level}-text` : ""],
-      [age(ageMs), "num"],
+      [age(aged), "num"],
       [`${sensor.rate_hz.toFixed(0)} Hz`, "num"],
       [whyOf(sensor.reason, input ? input.why : "")],
     ];
@@ -79,10 +81,10 @@ export function drawSensors(health, verdict) {
 // Fusion's percentiles are in the table of latencies.
 const stages = (split) => Object.entries(split ?? {}).filter(([name]) => !/_p\d+$/.test(name)).map(([name, ms]) => `${name} ${ms.toFixed(1)}`).join(" · ");
 
-export function drawServices(entries, extraMs) {
+export function drawServices(entries) {
   fill(byId("services"), Object.entries(entries).filter(([key]) => key.endsWith("/status")).sort().map(([key, entry]) => {
     const status = entry.message;
-    const silent = entry.age_ms + extraMs;
+    const silent = ageMs(entry);
     const gone = silent > 3500;
     const words = gone ? `silent for ${age(silent)}` : status.reason ? `${status.state}: ${status.reason}` : status.state;
     return [
@@ -97,9 +99,9 @@ export function drawServices(entries, extraMs) {
 }
 
 // What is kept of what happens: recorders and blackboxes, by their own status.
-export function drawRecording(entries, extraMs) {
+export function drawRecording(entries) {
   const running = (service) => Object.entries(entries)
-    .filter(([key, entry]) => key.endsWith(`/${service}/status`) && entry.age_ms + extraMs < 3500)
+    .filter(([key, entry]) => key.endsWith(`/${service}/status`) && ageMs(entry) < 3500)
     .map(([key, { message }]) => [key.split("/")[0], message]);
   const recorders = running("recorder").map(([host, { reason }]) => `● Recording on ${host}: ${reason}`);
   const boxes = running("blackbox").map(([host, { counters }]) => {
