@@ -172,6 +172,7 @@ def test_a_lost_server_greys_the_page_and_comes_back(
     dashboard.close()
     browser.wait("document.body.classList.contains('cut') && !document.getElementById('link').hidden")
     assert browser.run(text_of("level")) == "NO VERDICT"
+    browser.wait(f"{text_of('recording')}.includes('Nobody knows')")  # neither recorded nor not recorded
     keep_picture(browser, "server-lost")
     start_dashboard_at(module_router, port=dashboard.port)
     browser.wait(f"{text_of('level')} == 'SAFE' && !document.body.classList.contains('cut')")

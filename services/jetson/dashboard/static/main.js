@@ -56,7 +56,7 @@ function draw() {
   drawSensors(health, verdict);
   drawLatency(health, verdict, newest("fusion/status"));
   drawServices(state.entries);
-  drawRecording(state.entries);
+  drawRecording(state.entries, cut);
   drawHistory(state.verdicts, state.healths);
   drawTimeline(state.verdicts, level);
   drawAhead(newest("lidar/scan"), zones, radar);

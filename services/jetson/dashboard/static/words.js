@@ -99,7 +99,8 @@ export function drawServices(entries) {
 }
 
 // What is kept of what happens: recorders and blackboxes, by their own status.
-export function drawRecording(entries) {
+export function drawRecording(entries, cut) {
+  if (cut) return setText(byId("recording"), "Nobody knows here what is recorded");
   const running = (service) => Object.entries(entries)
     .filter(([key, entry]) => key.endsWith(`/${service}/status`) && ageMs(entry) < 3500)
     .map(([key, { message }]) => [key.split("/")[0], message]);
@@ -114,7 +115,7 @@ export function drawRecording(entries) {
 
 // Where the time goes from the measurement to the first verdict that counts it; percentiles over the last 256 inputs.
 export function drawLatency(health, verdict, fusion) {
-  const ms = (value) => [value === undefined ? "" : value.toFixed(1), "num"];
+  const ms = (value) => [value === undefined ? "" : value.toFixed(value < 99.95 ? 1 : 0), "num"];
   const whole = fusion ? fusion.message.stage_ms : {};
   const inputs = Object.entries(verdict ? verdict.message.inputs : {}).filter(([, input]) => Object.keys(input.stage_ms ?? {}).length);
   const rows = inputs.map(([name, { stage_ms: split }]) => [[name], ms(split.capture), ms(split.processing), ms(split.transport), ms(whole[`${name}_p50`]), ms(whole[`${name}_p99`])]);
