@@ -43,6 +43,7 @@ def zenoh_settings(config: ZenohConfig) -> dict[str, Any]:
         "transport/link/tx/lease": config.lease_ms,
         "transport/link/tx/keep_alive": 4,
         "transport/shared_memory/enabled": False,
+        "transport/link/tx/queue/size/data": 4,  # of 64 kB: raw pieces come in bursts
     }
     if config.namespace:
         settings["namespace"] = config.namespace

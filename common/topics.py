@@ -81,6 +81,9 @@ OPTIONAL_SERVICES: tuple[ServiceRow, ...] = (ServiceRow("ego", "jetson0", "jetso
 # On as many hosts as site.toml says.
 SERVICES_OF_ANY_HOST: tuple[ServiceRow, ...] = (ServiceRow("blackbox", "jetson0", "record"),)
 
+# Of no site: `spotter record` says under this name that it runs, on a host or, with its status alone, on a laptop.
+RECORDER = "recorder"
+
 RADAR_TRACKS = Topic("radar", "tracks", m.RadarTracks, 10.0, 0.5, priority="data_high")
 RADAR_DETECTIONS = Topic("radar", "detections", m.RadarDetections, 10.0, on_demand=True)
 LIDAR_SCAN = Topic("lidar", "scan", m.LaserScan, 10.0)
@@ -119,16 +122,17 @@ DATA_TOPICS: tuple[Topic, ...] = (
 
 
 # Bytes as a device sent them, for recordings that are to be processed again; only while somebody listens.
-# The small streams have a queue of their own: a picture that is late must not cost a byte of the lidar.
-def _raw(service: str, priority: Priority) -> Topic:
+# The small streams have a queue of their own: a picture that is late must not cost a byte of the lidar. They come in
+# bursts, of which block_first would take the first only.
+def _raw(service: str, priority: Priority, congestion: Congestion) -> Topic:
     return Topic(
         service, "raw", m.RawBytes, None, on_demand=True,
-        priority=priority, congestion="block_first", max_bytes=32_000_000,
+        priority=priority, congestion=congestion, max_bytes=32_000_000,
     )  # fmt: skip
 
 
-RADAR_RAW, LIDAR_RAW = _raw("radar", "data"), _raw("lidar", "data")
-CAMERA_RAW, INFRA_RAW = _raw("camera", "data_low"), _raw("infra_lidar", "background")
+RADAR_RAW, LIDAR_RAW = _raw("radar", "data", "drop"), _raw("lidar", "data", "drop")
+CAMERA_RAW, INFRA_RAW = _raw("camera", "data_low", "block_first"), _raw("infra_lidar", "background", "block_first")
 RAW_TOPICS = (RADAR_RAW, LIDAR_RAW, CAMERA_RAW, INFRA_RAW)
 
 

@@ -83,7 +83,7 @@ def crossing(browser: Browser) -> None:
         take(browser, DOCS / "dashboard.png", HEIGHT, 1.0)
         photograph(browser, OF_CROSSING)
         browser.open(url, 390, 844, dark=False)
-        browser.wait(f"{ALL_THERE} && {ALARM}", START_S)
+        browser.wait(f"{ALARM} && {ALL_SEE} && document.querySelectorAll('#sensors tr').length == 4", START_S)
         take(browser, STATES / "phone-light.png", 844, 1.0, width=390)
         browser.open(url, WIDTH, HEIGHT, dark=True)
         browser.wait(ALL_THERE, START_S)

@@ -23,7 +23,7 @@ settings.load_profile("spotter")
 # Whoever asks for one of these runs real processes or real Zenoh: such tests want the machine for themselves, unless
 # they say that they are patient.
 LIVE_FIXTURES = frozenset({
-    "router_endpoint", "zenoh_config", "module_router", "browser", "start_dashboard", "start_dashboard_at", "spawn",
+    "router_endpoint", "zenoh_config", "module_router", "browser", "start_dashboard_at", "spawn",
     "running_demo", "demo_json", "yard", "speaking",
 })  # fmt: skip
 

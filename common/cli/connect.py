@@ -46,7 +46,12 @@ def bus(connect: str, namespace: str) -> Iterator[zenoh.Session]:
         close_session(session)
 
 
+def certified_name() -> str:
+    """The name in SPOTTER_CERTIFICATE=keys/laptop1.crt; empty without one."""
+    return Path(os.environ.get("SPOTTER_CERTIFICATE", "")).stem
+
+
 def _certified(config: ZenohConfig) -> ZenohConfig:
     """SPOTTER_CERTIFICATE=keys/laptop1.crt; the key and ``ca.crt`` are beside it. Nothing in the open mode."""
-    path = os.environ.get("SPOTTER_CERTIFICATE", "")
-    return with_certificate(config, Path(path).parent, Path(path).stem) if path else config
+    name = certified_name()
+    return with_certificate(config, Path(os.environ["SPOTTER_CERTIFICATE"]).parent, name) if name else config

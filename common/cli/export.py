@@ -25,7 +25,7 @@ PARQUET_ROWS = 50_000  # rows a group: what is kept in memory
 
 def export(
     file: Annotated[Path, typer.Argument(help="A recording or an incident, MCAP.")],
-    out: Annotated[Path, typer.Argument(help="OUT.csv, or OUT.parquet where pyarrow is installed.")],
+    out: Annotated[Path, typer.Argument(help="OUT.csv, or OUT.parquet (extra `parquet`).")],
     table: Annotated[
         list[str] | None, typer.Option("--table", "-t", help=f"{', '.join(COLUMNS)}; may be repeated. Default: all.")
     ] = None,
@@ -100,12 +100,12 @@ def write_csv(out: Path, names: list[str], table: Iterable[Row]) -> None:
 
 
 def write_parquet(out: Path, names: list[str], table: Iterable[Row]) -> None:
-    """In groups of rows, with the types of ``_parquet_type``; pyarrow is in none of our extras."""
+    """In groups of rows, with the types of ``_parquet_type``."""
     try:
         arrow: Any = importlib.import_module("pyarrow")
         parquet: Any = importlib.import_module("pyarrow.parquet")
     except ImportError:
-        fail("Parquet needs pyarrow, which none of our extras brings: `uv pip install pyarrow`, or export to .csv")
+        fail("Parquet needs the extra `parquet`; .csv does not")
     schema = arrow.schema([(name, _parquet_type(arrow, name)) for name in names])
     with parquet.ParquetWriter(out, schema) as writer:
         group: list[Row] = []

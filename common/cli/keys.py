@@ -48,7 +48,7 @@ def host(name: NameArgument, site_file: SiteFile = None, days: Days = None, as_j
 
 @keys.command()
 def laptop(name: NameArgument, site_file: SiteFile = None, days: Days = None, as_json: AsJson = False) -> None:
-    """Issue a certificate for a laptop: it may listen and ask, never speak."""
+    """Issue a certificate for a laptop: it may listen and ask, and say that it records."""
     site, folder = read_site(site_file)
     if name in site.hosts:
         fail(f"{name!r} is a host of the site; a laptop needs a name of its own")

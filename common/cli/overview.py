@@ -21,10 +21,11 @@ from common.codec import DecodeError, decode
 from common.messages import SensorState, ServiceState, ServiceStatus, SystemHealth, Verdict
 from common.presence import Presence
 from common.session import undeclare
-from common.topics import DATA_TOPICS, FUSION_VERDICT, find_topic, status_topic
+from common.topics import DATA_TOPICS, FUSION_VERDICT, RECORDER, find_topic, status_topic
 
 RATE_WINDOW_S = 3.0
 LATENCY_WINDOW_S = 60.0
+STATUS_AGE_LIMIT_S = status_topic(RECORDER).age_limit_s or math.inf
 MAX_LATENCIES = 20_000
 CPU_SPAN_NS = 800_000_000
 
@@ -163,7 +164,7 @@ class Observer:
 
     def _service_view(self, host: str, service: str, instances: int) -> ServiceView:
         key = status_topic(service).key(host)
-        status = self._status.get(key)
+        status, there = self._status.get(key), instances > 0 or self._records(host, service)
         if status is None:
             return ServiceView(
                 host=host, service=service, instances=instances, state=None, reason="has not told its status yet",
@@ -175,8 +176,8 @@ class Observer:
             host=host,
             service=service,
             instances=instances,
-            state=status.state if instances else "disconnected",
-            reason=status.reason if instances else "the process is gone",
+            state=status.state if there else "disconnected",
+            reason=status.reason if there else "the process is gone",
             rate_hz=status.rate_hz,
             last_frame_age_s=status.last_frame_age_s,
             cpu_share=self._cpu_share.get(key),
@@ -188,6 +189,11 @@ class Observer:
             slowest_stage=slowest,
             slowest_stage_ms=status.stage_ms.get(slowest),
         )
+
+    def _records(self, host: str, service: str) -> bool:
+        """A laptop's recorder, which may hold no token where rules are in force: it is there while it tells."""
+        told = self._arrivals.get(status_topic(RECORDER).key(host)) if service == RECORDER else None
+        return told is not None and monotonic_s() - told.last_s < STATUS_AGE_LIMIT_S
 
     @staticmethod
     def _topic_view(key: str, arrivals: _Arrivals, now_s: float) -> TopicView:

@@ -13,11 +13,15 @@ from typing import Annotated, Any
 import typer
 
 from common import topics
-from common.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespace, bus
+from common.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespace, bus, certified_name
 from common.cli.fail import fail
 from common.cli.progress import Progress
 from common.clock import monotonic_s
 
+NOT_SHOWN = (
+    "recording, but nobody is shown it: the site's rules let nobody here speak as `{name}`; "
+    "--host: on a laptop its certificate's name, on a host the host's"
+)
 LARGE = ("infra_lidar/points", "camera/image")
 
 
@@ -36,7 +40,9 @@ def record(
     rotate_mb: Annotated[float, typer.Option(help="A new file after this many MB ...")] = 1000.0,
     rotate_minutes: Annotated[float, typer.Option(help="... or minutes.")] = 60.0,
     foxglove: Annotated[bool, typer.Option(help="Foxglove's own schemas beside ours.")] = True,
-    host: Annotated[str, typer.Option(help="Under which name the dashboard shows it.")] = "",
+    host: Annotated[
+        str, typer.Option(envvar="SPOTTER_HOST", help="Under which name the dashboard shows it: certificate, machine.")
+    ] = "",
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "spotter",
     as_json: AsJson = False,
@@ -56,14 +62,19 @@ def record(
         signal.signal(signum, lambda *_: stop.set())
     started_s, progress = monotonic_s(), Progress()
 
-    with bus(connect, namespace) as session:
-        presence = RecorderPresence(session, host or this_machine())
+    name = host or certified_name() or this_machine()
+    with bus(connect, namespace) as session, bus(connect, namespace) as witness:
+        presence, refused = RecorderPresence(session, name, witness), False
 
         def tell(status: RecorderStatus) -> None:
+            nonlocal refused
             into_s = monotonic_s() - started_s
             if seconds and into_s >= seconds:
                 stop.set()
             presence.tell(status)
+            if presence.refused and not refused:
+                refused = True
+                sys.stderr.write(f"  {NOT_SHOWN.format(name=name)}\n")
             progress.share(into_s, seconds, f"{into_s:.0f} s  {presence.words(status)}")
 
         recorder = Recorder(session, chosen, options, _metadata(session, namespace))

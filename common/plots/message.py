@@ -10,27 +10,19 @@ from typing import Any
 
 import numpy as np
 from matplotlib import image as mpl_image
-from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patches import Rectangle
 
 from common import messages as m
-from common.plots.paper import LABEL_COLOURS, LEVEL_COLOURS, STATE_COLOURS, new_figure, save, top_view
-
-KINDS = ("other", "ground", "cluster", "background")
+from common.plots.fields import fields
+from common.plots.paper import LEVEL_COLOURS, STATE_COLOURS, new_figure, save, top_view
+from common.plots.roadside import clusters, object_tracks, points
 
 
 def plot_message(key: str, message: m.Message, path: Path) -> None:
-    """Write a PNG.
-
-    Raises:
-        ValueError: no picture is made of this kind of message.
-    """
-    draw = _DRAWINGS.get(type(message))
-    if draw is None:
-        known = ", ".join(sorted(kind.__name__ for kind in _DRAWINGS))
-        raise ValueError(f"{key}: there is no picture of a {type(message).__name__}; there is of {known}")
+    """Write a PNG; of a kind without a picture of its own, its fields as text."""
     figure = new_figure()
     axes = figure.subplots()
-    draw(axes, message)
+    _DRAWINGS.get(type(message), fields)(axes, message)
     state = f", {message.state}" if isinstance(message, m.SensorMessage) else ""
     reason = f": {message.reason}" if isinstance(message, m.SensorMessage) and message.reason else ""
     figure.suptitle(f"{key}{state}{reason}", wrap=True)
@@ -101,6 +93,7 @@ def _lidar_zones(axes: Any, message: m.LidarZones) -> None:
     top_view(axes)
     outer_m = half_m + layout.side_width_m + 0.3
     axes.set(
+        aspect="auto",  # lanes are narrow: their words need the room
         xlim=(outer_m, -outer_m),
         ylim=(0, layout.look_ahead_m + 0.1),
         title=f"{message.level} (raw {message.raw_level})",
@@ -124,55 +117,6 @@ def _camera(axes: Any, message: m.CameraDetections) -> None:
 def _image(axes: Any, message: m.CompressedImage) -> None:
     axes.imshow(mpl_image.imread(io.BytesIO(message.data), format=message.format))
     axes.set_axis_off()
-
-
-def object_tracks(axes: Any, message: m.ObjectTracks) -> None:
-    """Boxes from above in the map frame, with class, speed and two seconds of velocity."""
-    for track in message.tracks:
-        colour = LABEL_COLOURS[track.label]
-        axes.add_patch(
-            Polygon(_box(track), fill=False, ec=colour, lw=1.8, ls="--" if track.state == "coasting" else "-")
-        )
-        (x_m, y_m, _), (vx, vy, _) = track.position_m, track.velocity_mps
-        speed_mps = math.hypot(vx, vy)
-        if speed_mps > 0.3:
-            arrow = {"arrowstyle": "->", "color": colour, "lw": 1.5}
-            axes.annotate("", (x_m + 2 * vx, y_m + 2 * vy), (x_m, y_m), arrowprops=arrow)
-        words = f"{track.track_id % 10_000} {track.label.replace('_', ' ')}"
-        words += f" {speed_mps:.1f} m/s" if speed_mps > 0.3 else ""
-        axes.annotate(words, (x_m, y_m), (5, 5), textcoords="offset points", fontsize=7, color=colour, clip_on=True)
-    places_m = [(0.0, 0.0), *(track.position_m[:2] for track in message.tracks)]  # the map's origin is always in view
-    axes.plot(*zip(*places_m, strict=True), alpha=0)
-    axes.margins(0.1)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.grid(alpha=0.3)
-    axes.set(xlabel="x (map), m", ylabel="y (map), m", title=f"{len(message.tracks)} tracks")
-
-
-def _box(track: m.ObjectTrack) -> list[tuple[float, float]]:
-    (x_m, y_m, _), (length_m, width_m, _) = track.position_m, track.size_m
-    c, s = math.cos(track.yaw_rad), math.sin(track.yaw_rad)
-    corners = ((1, 1), (1, -1), (-1, -1), (-1, 1))
-    halves = [(i * length_m / 2, j * width_m / 2) for i, j in corners]
-    return [(x_m + c * dx - s * dy, y_m + s * dx + c * dy) for dx, dy in halves]
-
-
-def _clusters(axes: Any, message: m.Clusters) -> None:
-    for cluster in message.clusters:
-        colour = LABEL_COLOURS[cluster.label]
-        axes.plot(cluster.centre_m[0], cluster.centre_m[1], "o", ms=2 + cluster.size_m[0] * 2, color=colour, alpha=0.5)
-    axes.grid(alpha=0.3)
-    axes.set(xlabel="x (map), m", ylabel="y (map), m", aspect="equal", title=f"{len(message.clusters)} clusters")
-
-
-def _points(axes: Any, message: m.PointCloud) -> None:
-    colours = ("#b0b8c0", "#d8c9a8", "#c8102e", "#8fb3d9")
-    for kind, (name, colour) in enumerate(zip(KINDS, colours, strict=True)):
-        of_kind = message.points[message.kind == kind]
-        if len(of_kind):
-            axes.scatter(of_kind[:, 0], of_kind[:, 1], s=0.5, color=colour, label=name)
-    axes.legend(markerscale=12)
-    axes.set(xlabel="x (map), m", ylabel="y (map), m", aspect="equal", title=f"{len(message.points)} points")
 
 
 def _verdict(axes: Any, message: m.Verdict) -> None:
@@ -218,8 +162,8 @@ _DRAWINGS: dict[type[m.Message], Callable[[Any, Any], None]] = {
     m.CameraDetections: _camera,
     m.CompressedImage: _image,
     m.ObjectTracks: object_tracks,
-    m.Clusters: _clusters,
-    m.PointCloud: _points,
+    m.Clusters: clusters,
+    m.PointCloud: points,
     m.Verdict: _verdict,
     m.SystemHealth: _health,
     m.ServiceStatus: _status,

@@ -12,8 +12,8 @@ from typing import Any
 from matplotlib.collections import LineCollection
 
 from common import messages as m
-from common.plots.message import object_tracks
 from common.plots.paper import LEVEL_COLOURS, STATE_COLOURS, new_figure, save
+from common.plots.roadside import object_tracks
 
 GAP_S = 0.5  # a verdict or a state does not last through a longer silence
 MAX_CAUSES = 12
@@ -182,6 +182,7 @@ def _draw_roadside(axes: Any, story: Story) -> None:
     ways = {track_id: way for track_id, way in story.trails_m.items() if max(math.dist(way[0], at) for at in way) > 1.0}
     colours = ["#0b63b5" if track_id in here else "#ccd4db" for track_id in ways]
     # Not in the limits of the view: who drove through long ago shall not shrink those who are here.
-    axes.add_collection(LineCollection(list(ways.values()), colors=colours, linewidths=0.8), autolim=False)
+    lines_m = [[(y_m, x_m) for x_m, y_m in way] for way in ways.values()]
+    axes.add_collection(LineCollection(lines_m, colors=colours, linewidths=0.8), autolim=False)
     object_tracks(axes, story.roadside)
     axes.set_title(f"Roadside at the end: {len(here)} tracks and their ways")

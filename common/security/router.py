@@ -8,10 +8,14 @@ from typing import Any
 from msgspec.structs import replace
 
 from common.config import ConfigError, ZenohConfig
-from common.security.names import read_names
-from common.security.rules import access_rules
+from common.security.names import Names, read_names
+from common.security.rules import access_rules, laptop_recorders
 from common.site import Site
 from common.topics import DATA_TOPICS
+
+# What a laptop may say of its recorder: a status a second has a few hundred bytes.
+WORD_HZ = 2.0
+WORD_BYTES = 4096
 
 
 def router_config(site: Site, host: str, keys: Path) -> ZenohConfig:
@@ -32,8 +36,10 @@ def router_config(site: Site, host: str, keys: Path) -> ZenohConfig:
     }
     if not site.tls.enabled:
         return ZenohConfig(mode="router", namespace="", listen=listen, connect=connect, extra=extra)
-    extra["access_control"] = access_rules(site, host, read_names(keys))
-    extra["downsampling"] = _downsampling(site)
+    names = read_names(keys)
+    extra["access_control"] = access_rules(site, host, names)
+    extra["downsampling"] = _downsampling(site, names)
+    extra["low_pass_filter"] = _low_pass(site, names)
     extra["transport/link/tls/close_link_on_expiration"] = True
     return with_certificate(
         ZenohConfig(mode="router", namespace="", listen=listen, connect=connect, extra=extra), keys, host
@@ -72,11 +78,20 @@ def with_certificate(config: ZenohConfig, keys: Path, name: str) -> ZenohConfig:
     return replace(config, **{key: str(path) for key, path in files.items()})
 
 
-def _downsampling(site: Site) -> list[dict[str, Any]]:
-    """Clouds and pictures leave a host at their nominal rate at most, however fast they are made."""
-    rules = [
+def _downsampling(site: Site, names: Names) -> list[dict[str, Any]]:
+    """Clouds and pictures leave a host at their nominal rate at most, a laptop's words come in at theirs."""
+    bulk = [
         {"key_expr": f"{site.namespace}/{topic.any_host}", "freq": topic.nominal_hz}
         for topic in DATA_TOPICS
         if topic.is_large
     ]
-    return [{"id": "bulk", "link_protocols": ["tls"], "messages": ["put"], "flows": ["egress"], "rules": rules}]
+    words = [{"key_expr": key, "freq": WORD_HZ} for key in laptop_recorders(site, names).values()]
+    limits = [{"id": "bulk", "flows": ["egress"], "rules": bulk}, {"id": "words", "flows": ["ingress"], "rules": words}]
+    return [{"link_protocols": ["tls"], "messages": ["put"], **limit} for limit in limits if limit["rules"]]
+
+
+def _low_pass(site: Site, names: Names) -> list[dict[str, Any]]:
+    """A laptop's words are short."""
+    keys = list(laptop_recorders(site, names).values())
+    limit = {"id": "words", "link_protocols": ["tls"], "messages": ["put"], "flows": ["ingress"]}
+    return [{**limit, "key_exprs": keys, "size_limit": WORD_BYTES}] if keys else []

@@ -5,7 +5,7 @@ Three kinds of neighbours, each with the least it needs; whatever no rule allows
 - this host's own services, over plain TCP on loopback: may speak as the services that the site puts on this host;
 - the router of another host, known by its certificate: may pass on what that host's services say, and is told only
   what this host's services say, so nobody relays for a third;
-- laptops, known by their certificates: may listen and ask.
+- laptops, known by their certificates: may listen and ask, and each may say under its own name that it records.
 
 From afar only the questions of a list may be asked, each by the pattern that is in it: a rule allows what it includes,
 so ``**`` would reach a command that changes something, and is no question of the list.
@@ -16,24 +16,27 @@ certificate.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Any
 
 from common.security.names import Names
 from common.site import Site
-from common.topics import COMMANDS, DATA_TOPICS, RAW_TOPICS
+from common.topics import COMMANDS, DATA_TOPICS, RAW_TOPICS, RECORDER, status_topic
 
+SAY = ["put"]
 SPEAK = ["put", "reply", "liveliness_token", "declare_queryable"]
 LISTEN = ["declare_subscriber", "liveliness_query", "declare_liveliness_subscriber"]
 ASK = ["query"]
 ANSWERED = ("status", "info", "clock")  # by every service
+CHUNK = re.compile(r"[a-z0-9_]+")
 SHADOW = "shadow"  # a candidate under comparison speaks below this chunk, heard on its own host only
 
 
 def access_rules(site: Site, host: str, names: Names) -> dict[str, Any]:
     """The ``access_control`` section of the Zenoh configuration of ``host``'s router."""
     everything = [f"{site.namespace}/**"]
-    own = spoken_keys(site, host)
+    own, recorders = spoken_keys(site, host), laptop_recorders(site, names)
     spoken_here = own + own_commands(site, host) + spoken_keys(site, host, f"{SHADOW}/")
     rules = [
         _rule("local speaks", SPEAK, spoken_here, "ingress"),
@@ -46,6 +49,8 @@ def access_rules(site: Site, host: str, names: Names) -> dict[str, Any]:
         _rule(
             "laptops hear the site", SPEAK, [key for name in site.hosts for key in spoken_keys(site, name)], "egress"
         ),
+        _rule("hosts tell of recorders", SAY, list(recorders.values()), "ingress"),
+        _rule("recorders are told of", SAY, list(recorders.values()), "egress"),
     ]
     subjects: list[dict[str, Any]] = [{"id": "local", "interfaces": ["lo"], "link_protocols": ["tcp"]}]
     policies = [
@@ -63,11 +68,13 @@ def access_rules(site: Site, host: str, names: Names) -> dict[str, Any]:
         subjects.append({"id": name, "cert_common_names": [common_name]})
         allowed = [speaks] if spoken else []
         heard = ("anyone listens", "anyone asks", "neighbours are asked", "hosts hear this host")
-        policies.append(_policy(name, *allowed, *heard))
-    laptops = sorted(names.allowed("laptop").values())
-    if laptops:
-        subjects.append({"id": "laptops", "cert_common_names": laptops})
-        policies.append(_policy("laptops", "anyone listens", "anyone asks", "laptops hear the site"))
+        policies.append(_policy(name, *allowed, *heard, "hosts tell of recorders", "recorders are told of"))
+    for name, common_name in sorted(names.allowed("laptop").items()):
+        records = f"{name} records"
+        rules.append(_rule(records, SAY, [recorders[name]] if name in recorders else [], "ingress"))
+        subjects.append({"id": f"laptop {name}", "cert_common_names": [common_name]})
+        told = ("laptops hear the site", "recorders are told of")
+        policies.append(_policy(f"laptop {name}", "anyone listens", "anyone asks", *told, records))
     rules = [rule for rule in rules if rule["key_exprs"]]
     known = {rule["id"] for rule in rules}
     for policy in policies:
@@ -82,9 +89,26 @@ def access_rules(site: Site, host: str, names: Names) -> dict[str, Any]:
 
 
 def spoken_keys(site: Site, host: str, prefix: str = "") -> list[str]:
-    """Every key that the services of ``host`` publish, answer or hold a token on for others, below ``prefix``."""
-    base = f"{site.namespace}/{prefix}{host}"
-    return [f"{base}/{service}/{last}" for service in site.host(host).services for last in _lasts(service)]
+    """Every key that the services of ``host``, and a recorder there, publish, answer or hold a token on for others.
+
+    ``prefix`` is a chunk above the host's, or empty.
+    """
+    base, services = f"{site.namespace}/{prefix}{host}", site.host(host).services
+    return [f"{base}/{one}/{last}" for one in (*services, *([RECORDER] if services else [])) for last in _lasts(one)]
+
+
+def laptop_recorders(site: Site, names: Names) -> dict[str, str]:
+    """By laptop, the one key that it may say something on: the status of its own recorder.
+
+    No token: tokens cannot be limited in their rate, and fusion minds every one. A name that is no chunk of a key, or a
+    host's, says nothing.
+    """
+    laptops = sorted(names.allowed("laptop"))
+    return {
+        name: f"{site.namespace}/{status_topic(RECORDER).key(name)}"
+        for name in laptops
+        if CHUNK.fullmatch(name) and name not in site.hosts
+    }
 
 
 def own_commands(site: Site, host: str) -> list[str]:

@@ -41,13 +41,26 @@ def test_every_topic_of_the_table_may_be_spoken_by_its_host_and_by_nobody_else(n
         speakers = {"local": "jetson0", "pi0": "pi0", "infra0": "infra0"}
         for subject, whose in speakers.items():
             assert (key in spoken_by(section, subject)) == (whose == host), (key, subject)
-    assert spoken_by(section, "laptops") == set()
+    assert spoken_by(section, "laptop lap") == {"spotter/lap/recorder/status"}
 
 
-def test_a_host_without_services_may_say_nothing(names: Names) -> None:
+def test_a_host_without_services_may_say_nothing_of_its_own(names: Names) -> None:
+    """It passes on which laptops record, as every host does."""
     site = Site(hosts={**Site().hosts, "pi0": HostConfig(address="10.0.0.2")})
     assert spoken_keys(site, "pi0") == []
-    assert spoken_by(access_rules(site, "jetson0", names), "pi0") == set()
+    assert spoken_by(access_rules(site, "jetson0", names), "pi0") == {"spotter/lap/recorder/status"}
+    nobody = Names(names={name: entry for name, entry in names.names.items() if entry.kind == "host"})
+    assert spoken_by(access_rules(site, "jetson0", nobody), "pi0") == set()
+
+
+def test_each_laptop_may_say_that_it_records_and_nothing_else(names: Names) -> None:
+    names = names.with_name("second", Name(kind="laptop", generation=2))
+    section = access_rules(Site(), "jetson0", names)
+    for laptop in ("lap", "second"):
+        assert spoken_by(section, f"laptop {laptop}") == {f"spotter/{laptop}/recorder/status"}
+    common_names = {s["id"]: s.get("cert_common_names") for s in section["subjects"]}
+    assert common_names["laptop second"] == ["second.2"]
+    assert "laptop old" not in common_names
 
 
 def test_a_revoked_name_is_in_no_list(names: Names) -> None:

@@ -12,6 +12,7 @@ from services.jetson.camera.zone import forward_zone
 LEVEL_BGR = {"SAFE": (80, 175, 76), "CAUTION": (0, 170, 255), "IMMINENT": (40, 40, 225)}
 _WHITE, _GREY, _BLACK = (255, 255, 255), (170, 170, 170), (0, 0, 0)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
+FONT_PER_COLUMN = 0.65 / 640  # large enough to be read when the picture is shown at half its size
 
 
 def picture(image: np.ndarray, seen: CameraDetections, zone: ZoneConfig, config: ImageConfig) -> CompressedImage:
@@ -43,8 +44,13 @@ def draw(image: np.ndarray, seen: CameraDetections, zone: ZoneConfig, max_width_
     canvas = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if scale < 1 else image.copy()
     for edge_px in forward_zone(size[0], zone):
         cv2.line(canvas, (round(edge_px), 0), (round(edge_px), size[1]), _GREY, 1)
-    for detection in sorted(seen.detections, key=lambda d: -d.distance_m):
-        _draw_box(canvas, detection, scale)
+    nearest_last = sorted(seen.detections, key=lambda d: -d.distance_m)
+    for detection in nearest_last:
+        left, top, right, bottom = _box(detection, scale)
+        cv2.rectangle(canvas, (left, top), (right, bottom), _colour(detection), 2)
+    taken: list[tuple[int, int, int, int]] = []
+    for detection in reversed(nearest_last):  # the nearest says its name where it wants
+        taken.append(_draw_caption(canvas, detection, scale, taken))
     if seen.state == "degraded":
         cv2.rectangle(canvas, (0, 0), (size[0], 24), _BLACK, cv2.FILLED)
         cv2.putText(canvas, f"DEGRADED {seen.reason}", (6, 17), _FONT, 0.5, LEVEL_BGR["CAUTION"], 1, cv2.LINE_AA)
@@ -58,12 +64,27 @@ def caption(detection: CameraDetection) -> str:
     return f"{detection.label} {at_most}{nearest_m:.1f} m"
 
 
-def _draw_box(canvas: np.ndarray, detection: CameraDetection, scale: float) -> None:
+def _box(detection: CameraDetection, scale: float) -> tuple[int, int, int, int]:
     left, top, right, bottom = (round(value * scale) for value in detection.box_xyxy_px)
-    colour = LEVEL_BGR[detection.level] if detection.in_zone else _GREY
-    cv2.rectangle(canvas, (left, top), (right, bottom), colour, 2)
-    text = caption(detection)
-    (width, height), _ = cv2.getTextSize(text, _FONT, 0.45, 1)
-    top = max(top, height + 6)
-    cv2.rectangle(canvas, (left, top - height - 6), (left + width + 6, top), colour, cv2.FILLED)
-    cv2.putText(canvas, text, (left + 3, top - 4), _FONT, 0.45, _BLACK, 1, cv2.LINE_AA)
+    return left, top, right, bottom
+
+
+def _colour(detection: CameraDetection) -> tuple[int, int, int]:
+    return LEVEL_BGR[detection.level] if detection.in_zone else _GREY
+
+
+def _draw_caption(
+    canvas: np.ndarray, detection: CameraDetection, scale: float, taken: list[tuple[int, int, int, int]]
+) -> tuple[int, int, int, int]:
+    """Above the box, inside the picture, and below whatever caption is there already; returns its place."""
+    text, size = caption(detection), FONT_PER_COLUMN * canvas.shape[1]
+    (width, height), _ = cv2.getTextSize(text, _FONT, size, 1)
+    width, height = width + 6, height + 8
+    left, top, _, _ = _box(detection, scale)
+    left = max(0, min(left, canvas.shape[1] - width))
+    top = max(top - height, 0)
+    while any(x < left + width and left < x + w and y < top + height and top < y + h for x, y, w, h in taken):
+        top += height
+    cv2.rectangle(canvas, (left, top), (left + width, top + height), _colour(detection), cv2.FILLED)
+    cv2.putText(canvas, text, (left + 3, top + height - 5), _FONT, size, _BLACK, 1, cv2.LINE_AA)
+    return left, top, width, height

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 import json
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -86,17 +86,26 @@ def test_a_damaged_recording_is_refused(recording: Path, tmp_path: Path) -> None
     assert [one.name for one in tmp_path.iterdir()] == ["damaged.mcap"]  # no half a table either
 
 
-def test_parquet_has_types_or_says_what_is_missing(recording: Path, tmp_path: Path) -> None:
+def test_parquet_has_types(recording: Path, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
     out = tmp_path / "all.parquet"
     result = runner.invoke(app, ["export", str(recording), str(out)])
-    if importlib.util.find_spec("pyarrow") is None:
-        assert result.exit_code == 1
-        assert "uv pip install pyarrow" in result.output
-        assert not out.exists()
-        return
     assert result.exit_code == 0, result.output
-    parquet = pytest.importorskip("pyarrow.parquet")
-    rows = parquet.read_table(out).to_pylist()
+    table = parquet.read_table(out)
+    types = {name: str(table.schema.field(name).type) for name in ("stamp_ns", "range_m", "approaching", "because")}
+    assert types == {"stamp_ns": "int64", "range_m": "double", "approaching": "bool", "because": "string"}
+    rows = table.to_pylist()
     assert len(rows) == 420
     radar = next(row for row in rows if row["table"] == "radar")
     assert (radar["track_id"], radar["range_m"], radar["approaching"], radar["because"]) == (1, 9.0, True, None)
+
+
+def test_without_its_extra_parquet_says_what_is_missing(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    out = tmp_path / "all.parquet"
+    result = runner.invoke(app, ["export", str(recording), str(out)])
+    assert result.exit_code == 1
+    assert "extra `parquet`" in result.output
+    assert not out.exists()

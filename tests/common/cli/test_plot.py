@@ -15,7 +15,9 @@ from typer.testing import CliRunner
 
 from common import messages as m
 from common.cli.__main__ import app
+from common.plots.fields import COLUMNS, fields
 from common.plots.message import _DRAWINGS, plot_message
+from common.plots.paper import new_figure
 from common.plots.story import Story
 
 pytestmark = pytest.mark.patient
@@ -76,10 +78,31 @@ def test_every_message_with_a_picture_has_one(samples: dict[str, m.Message], kin
     picture_of(tmp_path / "out.png")
 
 
-def test_a_message_without_a_picture_says_which_have_one(tmp_path: Path) -> None:
-    motion = m.EgoMotion(stamp_ns=1, speed_mps=1.0, yaw_rate_radps=None)
-    with pytest.raises(ValueError, match=r"no picture of a EgoMotion; there is of CameraDetections, .*Verdict"):
-        plot_message("jetson0/ego/motion", motion, tmp_path / "out.png")
+@pytest.mark.parametrize(
+    "message",
+    [
+        m.EgoMotion(stamp_ns=1, speed_mps=1.0, yaw_rate_radps=None),
+        m.RawBytes(stamp_ns=1, kind="ld06", index=3, data=np.arange(9, dtype=np.uint8), about={"$": {"x_m": [1.0]}}),
+    ],
+    ids=lambda message: type(message).__name__,
+)
+def test_a_message_without_a_picture_is_drawn_as_its_fields(message: m.Message, tmp_path: Path) -> None:
+    plot_message("host/service/product", message, tmp_path / "out.png")
+    assert (picture_of(tmp_path / "out.png") < 0.5).any()
+
+
+def test_fields_are_named_with_their_values_and_arrays_summed_up() -> None:
+    inputs = {"lidar": {"age_s": 0.1}, "more": list(range(99))}
+    trace = m.FusionTrace(stamp_ns=7, verdict_seq=3, inputs=inputs, memory={}, rules={})
+    axes = new_figure().subplots()
+    fields(axes, trace)
+    text = axes.texts[0].get_text().splitlines()
+    assert "verdict_seq: 3" in text
+    assert "inputs.lidar.age_s: 0.1" in text
+    assert max(map(len, text)) <= COLUMNS
+    axes = new_figure().subplots()
+    fields(axes, m.RawBytes(stamp_ns=1, kind="ld06", index=3, data=np.arange(9, dtype=np.uint8)))
+    assert "data: uint8 (9,), 0 to 8" in axes.texts[0].get_text()
 
 
 def test_a_recording_becomes_one_page(recording: Path, tmp_path: Path) -> None:

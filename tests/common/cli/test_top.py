@@ -13,8 +13,10 @@ from typer.testing import CliRunner
 from common.cli.__main__ import app
 from common.cli.connect import bus
 from common.cli.overview import Observer, Overview, quantile
+from common.codec import encode
 from common.config import ServiceConfig, ZenohConfig
 from common.runtime import Service
+from common.status import Report
 
 pytestmark = pytest.mark.patient
 
@@ -44,6 +46,20 @@ def test_an_overview_holds_what_is_there(speaking: str, until: Until) -> None:
     assert verdicts.rate_hz > 5
     assert verdicts.bytes_per_s > 1000
     assert not verdicts.stale
+
+
+def test_a_laptop_s_recorder_is_there_while_it_tells(speaking: str, until: Until) -> None:
+    """Where rules are in force it has no token."""
+
+    def state(observer: Observer) -> object:
+        return getattr(service_of(observer.overview(), "recorder"), "state", None)
+
+    with bus(speaking, "spotter") as session, bus(speaking, "spotter") as laptop:
+        observer = Observer(session)
+        word = encode(Report("x").snapshot())
+        until(lambda: laptop.put("laptop1/recorder/status", word) or state(observer) == "starting")
+        until(lambda: state(observer) == "disconnected")
+        observer.close()
 
 
 def test_one_host_can_be_looked_at_alone(speaking: str, until: Until) -> None:

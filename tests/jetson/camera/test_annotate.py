@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import cv2
+import msgspec
 import numpy as np
 
 from common.messages import CameraDetection, CameraDetections
-from services.jetson.camera.annotate import caption, draw, picture
+from services.jetson.camera.annotate import LEVEL_BGR, caption, draw, picture
 from services.jetson.camera.config import ImageConfig, ZoneConfig
 
 PERSON = CameraDetection(
@@ -53,3 +54,19 @@ def test_captions_say_at_most_for_cut_off_boxes() -> None:
         truncated=True,
     )  # fmt: skip
     assert caption(cut) == "car <= 3.0 m"
+
+
+def test_captions_of_boxes_in_one_place_stand_below_each_other() -> None:
+    """Each is legible: as many fields of the level's colour as there are boxes, whichever is the nearest."""
+    near, far = (msgspec.structs.replace(PERSON, distance_m=m, nearest_m=m, level=level) for m, level in
+                 ((0.4, "IMMINENT"), (1.1, "CAUTION")))  # fmt: skip
+    canvas = draw(np.full((480, 640, 3), 90, np.uint8), seen(far, near), ZoneConfig(), 640)
+    for level in ("IMMINENT", "CAUTION"):
+        field = np.all(canvas == LEVEL_BGR[level], axis=2)
+        assert field.sum(axis=1).max() > 60, level  # a line of the caption's field, longer than the box's two sides
+
+
+def test_a_caption_stays_in_the_picture() -> None:
+    at_the_edge = msgspec.structs.replace(PERSON, box_xyxy_px=(630.0, 0.0, 640.0, 40.0))
+    canvas = draw(np.full((480, 640, 3), 90, np.uint8), seen(at_the_edge), ZoneConfig(), 640)
+    assert np.all(canvas[4, 560] == LEVEL_BGR["IMMINENT"])

@@ -100,20 +100,6 @@ def start_dashboard_at() -> Iterator[Callable[..., Dashboard]]:
         dashboard.close()
 
 
-@pytest.fixture
-def start_dashboard(router_endpoint: str) -> Iterator[Callable[..., Dashboard]]:
-    """A dashboard on the test's own router."""
-    started: list[Dashboard] = []
-
-    def start(*settings: str) -> Dashboard:
-        started.append(Dashboard(router_endpoint, free_port(), *settings))
-        return started[-1]
-
-    yield start
-    for dashboard in started:
-        dashboard.close()
-
-
 def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

@@ -51,8 +51,18 @@ def verdict(stamp_ns: int = 1) -> Verdict:
     )  # fmt: skip
 
 
-def test_the_page_needs_nothing_from_elsewhere(start_dashboard: Callable[..., Any]) -> None:
-    dashboard = start_dashboard()
+@pytest.fixture(scope="module")
+def dashboard(module_router: str, start_dashboard_at: Callable[..., Any]) -> Any:
+    """One dashboard without a token for all tests that leave it as it was."""
+    return start_dashboard_at(module_router)
+
+
+@pytest.fixture(scope="module")
+def on_its_router(module_router: str) -> ZenohConfig:
+    return ZenohConfig(connect=(module_router,))
+
+
+def test_the_page_needs_nothing_from_elsewhere(dashboard: Any) -> None:
     status, headers, page = get(f"{dashboard.url}/")
     assert status == 200
     assert "default-src 'self'" in headers["content-security-policy"]
@@ -63,16 +73,15 @@ def test_the_page_needs_nothing_from_elsewhere(start_dashboard: Callable[..., An
 @pytest.mark.parametrize(
     "path", ["/static/../config.py", "/static/%2e%2e/config.py", "/../../etc/passwd", "/api/image/.."]
 )
-def test_no_file_outside_the_page_is_given(start_dashboard: Callable[..., Any], path: str) -> None:
-    dashboard = start_dashboard()
+def test_no_file_outside_the_page_is_given(dashboard: Any, path: str) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", dashboard.port, timeout=5)
     connection.request("GET", path)
     assert connection.getresponse().status in (400, 404)
     connection.close()
 
 
-def test_without_its_token_nothing_is_told(start_dashboard: Callable[..., Any]) -> None:
-    dashboard = start_dashboard("server.token=open-sesame")
+def test_without_its_token_nothing_is_told(module_router: str, start_dashboard_at: Callable[..., Any]) -> None:
+    dashboard = start_dashboard_at(module_router, "server.token=open-sesame")
     for path in ("/", "/api/snapshot", "/static/main.js", "/?token=wrong"):
         assert get(dashboard.url + path)[0] == 401, path
     with pytest.raises(WebSocketException):
@@ -85,17 +94,13 @@ def test_without_its_token_nothing_is_told(start_dashboard: Callable[..., Any]) 
         assert "entries" in json.loads(client.recv(timeout=5))
 
 
-def test_a_page_of_another_site_may_not_listen(start_dashboard: Callable[..., Any]) -> None:
-    dashboard = start_dashboard()
+def test_a_page_of_another_site_may_not_listen(dashboard: Any) -> None:
     with pytest.raises(WebSocketException):
         connect(f"ws://127.0.0.1:{dashboard.port}/ws", origin="http://elsewhere.example")  # type: ignore[arg-type]
 
 
-def test_pictures_are_made_only_while_somebody_looks(
-    start_dashboard: Callable[..., Any], zenoh_config: ZenohConfig
-) -> None:
-    dashboard = start_dashboard()
-    with Service("camera", ServiceConfig(host="jetson0", zenoh=zenoh_config)) as camera:
+def test_pictures_are_made_only_while_somebody_looks(dashboard: Any, on_its_router: ZenohConfig) -> None:
+    with Service("camera", ServiceConfig(host="jetson0", zenoh=on_its_router)) as camera:
         publish = camera.publisher(topics.CAMERA_IMAGE)
         assert not publish.wanted
         with connect(f"ws://127.0.0.1:{dashboard.port}/ws") as client:
@@ -106,12 +111,9 @@ def test_pictures_are_made_only_while_somebody_looks(
         eventually(lambda: not publish.wanted)
 
 
-def test_a_client_that_does_not_read_delays_nobody(
-    start_dashboard: Callable[..., Any], zenoh_config: ZenohConfig
-) -> None:
-    dashboard = start_dashboard()
+def test_a_client_that_does_not_read_delays_nobody(dashboard: Any, on_its_router: ZenohConfig) -> None:
     stop = threading.Event()
-    with Service("fusion", ServiceConfig(host="jetson0", zenoh=zenoh_config)) as fusion:
+    with Service("fusion", ServiceConfig(host="jetson0", zenoh=on_its_router)) as fusion:
         publish = fusion.publisher(topics.FUSION_VERDICT)
 
         def speak() -> None:
@@ -138,13 +140,13 @@ def test_a_client_that_does_not_read_delays_nobody(
             speaker.join()
 
 
-def test_a_taken_port_is_told(zenoh_config: ZenohConfig) -> None:
+def test_a_taken_port_is_told(on_its_router: ZenohConfig) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
         script = str(Path(sys.executable).with_name("spotter-dashboard"))
-        command = [script, "--set", f'zenoh.connect=["{zenoh_config.connect[0]}"]', "--set", f"server.port={port}"]
+        command = [script, "--set", f'zenoh.connect=["{on_its_router.connect[0]}"]', "--set", f"server.port={port}"]
         ended = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
     assert ended.returncode == 2
     assert f"[server] port = {port}: cannot listen" in ended.stderr
@@ -159,8 +161,10 @@ def test_an_open_address_without_a_token_is_refused() -> None:
     assert "set [server] token" in ended.stderr
 
 
-def test_it_ends_within_a_second_with_clients_connected(start_dashboard: Callable[..., Any]) -> None:
-    dashboard = start_dashboard()
+def test_it_ends_within_a_second_with_clients_connected(
+    module_router: str, start_dashboard_at: Callable[..., Any]
+) -> None:
+    dashboard = start_dashboard_at(module_router)
     with connect(f"ws://127.0.0.1:{dashboard.port}/ws") as client:
         client.recv(timeout=5)
         dashboard.process.send_signal(signal.SIGTERM)

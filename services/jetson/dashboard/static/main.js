@@ -9,17 +9,27 @@ import { drawCamera } from "/static/camera.js";
 import { soundFor } from "/static/sound.js";
 
 const CUT_AFTER_MS = 1000;
-const PRODUCTS = ["radar/tracks", "lidar/scan", "lidar/zones", "camera/detections", "camera/image", "infra_lidar/tracks",
-  "fusion/verdict", "fusion/health", "ego/motion"];
 const rate = document.getElementById("rate");
+const views = [...document.querySelectorAll("[data-products]")];
+const inSight = new Set();
 
-const tell = connect(() => ({
-  rate_hz: document.hidden ? 0.5 : Number(rate.value),
-  products: document.hidden ? ["fusion/verdict"] : cloudIsOn() ? [...PRODUCTS, "infra_lidar/points"] : PRODUCTS,
-}));
+// Only what is on the screen, or nearly: a phone asks for a view or two.
+function wanted() {
+  if (document.hidden) return ["fusion/verdict"];
+  const products = new Set(["fusion/verdict", "fusion/health", ...[...inSight].flatMap((view) => view.dataset.products.split(" "))]);
+  if (!cloudIsOn()) products.delete("infra_lidar/points");
+  return [...products];
+}
+
+const tell = connect(() => ({ rate_hz: document.hidden ? 0.5 : Number(rate.value), products: wanted() }));
 rate.addEventListener("change", tell);
 document.addEventListener("visibilitychange", tell);
 onCloudToggle(tell);
+const observer = new IntersectionObserver((changes) => {
+  for (const { target, isIntersecting } of changes) isIntersecting ? inSight.add(target) : inSight.delete(target);
+  tell();
+}, { rootMargin: "150px" });
+for (const view of views) observer.observe(view);
 
 function drawLink() {
   const silent = silentMs();
@@ -44,9 +54,9 @@ function draw() {
   soundFor(level);
   drawHealth(health, cut);
   drawSensors(health, verdict);
-  drawLatency(health, verdict);
-  drawServices(state.entries, silentMs());
-  drawRecording(state.entries, silentMs());
+  drawLatency(health, verdict, newest("fusion/status"));
+  drawServices(state.entries);
+  drawRecording(state.entries, cut);
   drawHistory(state.verdicts, state.healths);
   drawTimeline(state.verdicts, level);
   drawAhead(newest("lidar/scan"), zones, radar);

@@ -3,20 +3,16 @@ import { prepare, LEVEL_COLOURS } from "/static/canvas.js";
 
 const STALE_MS = 500;
 const TTC_SPAN_S = 4;
+const [LEFT, RIGHT, BELOW] = [34, 14, 36]; // room for the axes' words
 const ALARM_M = [[0.5, "imminent-text"], [1.2, "caution-text"]];
 
 export function drawRadar(radar) {
   const { pen, width, height, colour } = prepare("radar");
   const speed = radar ? Math.max(2, Math.min(6, radar.message.v_max_mps || 3)) : 3;
   const reach = radar ? radar.message.range_max_m || 6 : 6;
-  const at = (v, r) => [width / 2 + (v / speed) * (width / 2 - 12), height - 20 - (r / reach) * (height - 30)];
-  pen.strokeStyle = colour("line");
-  pen.fillStyle = colour("soft");
-  for (let v = -Math.floor(speed); v <= speed; v += 1) {
-    line(pen, at(v, 0), at(v, reach));
-    pen.fillText(`${v}`, at(v, 0)[0] - 4, height - 6);
-  }
-  pen.fillText("m/s", 2, height - 22);
+  const middle = LEFT + (width - LEFT - RIGHT) / 2;
+  const at = (v, r) => [middle + (v / speed) * (middle - LEFT), height - BELOW - (r / reach) * (height - BELOW - 14)];
+  drawAxes(pen, colour, at, speed, reach, height);
   for (const [range, name] of ALARM_M) {
     pen.strokeStyle = colour(name);
     pen.setLineDash([6, 4]);
@@ -29,11 +25,30 @@ export function drawRadar(radar) {
     const [x, y] = at(track.velocity_mps, track.range_m);
     pen.fillStyle = colour(LEVEL_COLOURS[track.level]);
     pen.beginPath(); pen.arc(x, y, 6, 0, 2 * Math.PI); pen.fill();
-    pen.fillText(`#${track.track_id} ${track.range_m.toFixed(1)} m`, x + 9, y + 4);
+    pen.textAlign = track.velocity_mps > speed / 2 ? "right" : "left"; // its words stay inside
+    pen.fillText(`#${track.track_id} ${track.range_m.toFixed(1)} m`, x + (pen.textAlign === "left" ? 9 : -9), y + 4);
   }
   pen.globalAlpha = 1;
+  pen.textAlign = "left";
   drawBars(radar);
   describe(radar);
+}
+
+function drawAxes(pen, colour, at, speed, reach, height) {
+  pen.strokeStyle = colour("line");
+  pen.fillStyle = colour("soft");
+  pen.textAlign = "center";
+  for (let v = -Math.floor(speed); v <= speed; v += 1) {
+    line(pen, at(v, 0), at(v, reach));
+    pen.fillText(`${v}`, at(v, 0)[0], height - BELOW + 14);
+  }
+  pen.fillText("← closing · m/s · leaving →", at(0, 0)[0], height - 5);
+  pen.textAlign = "right";
+  for (let range = 0; range <= reach; range += reach > 12 ? 5 : reach > 4 ? 2 : 1) {
+    line(pen, at(-speed, range), at(speed, range));
+    pen.fillText(`${range} m`, LEFT - 5, at(0, range)[1] + 4);
+  }
+  pen.textAlign = "left";
 }
 
 function line(pen, from, to) {

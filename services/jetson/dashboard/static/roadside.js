@@ -1,11 +1,13 @@
 // What the pole sees, in the map frame: boxes with class, id, velocity and trail; the cloud in 3-D when asked for.
 // From above x is up and y is left, as in the view ahead of the vehicle.
-import { prepare, list } from "/static/canvas.js";
+import { prepare, list, unit } from "/static/canvas.js";
 
 const STALE_MS = 500;
 const TRAIL_MS = 6000;
+const SLOW_MPS = 0.3;
 const FIT_M = 45; // who is farther away does not shrink the view; zoom out to see them
 const CLASSES = ["car", "large_vehicle", "cyclist", "pedestrian", "background", "unknown"];
+const SHORT = { large_vehicle: "large", pedestrian: "ped.", cyclist: "cycl." }; // no class by colour alone
 const canvas = document.getElementById("roadside");
 const toggle = document.getElementById("cloud-toggle");
 const trails = new Map();
@@ -34,8 +36,8 @@ canvas.addEventListener("pointermove", (event) => {
     camera.turn += event.movementX * 0.01;
     camera.tilt = Math.min(1.5, Math.max(0.1, camera.tilt + event.movementY * 0.01));
   } else {
-    camera.y += event.movementX / camera.perMetre;
-    camera.x += event.movementY / camera.perMetre;
+    camera.y += event.movementX / unit() / camera.perMetre;
+    camera.x += event.movementY / unit() / camera.perMetre;
   }
 });
 canvas.addEventListener("keydown", (event) => {
@@ -57,7 +59,8 @@ export function drawRoadside(tracks, cloud, ego) {
   drawGrid(pen, colour, at, Math.max(width, height) / camera.perMetre);
   if (cloudIsOn() && cloud) drawCloud(pen, colour, at, cloud);
   pen.globalAlpha = tracks.ageMs > STALE_MS ? 0.3 : 1;
-  for (const track of shown) drawTrack(pen, palette, colour, at, track);
+  for (const track of shown) drawTrack(pen, palette, at, track);
+  nameTracks(pen, colour, at, shown);
   if (ego && ego.message.T_map_vehicle) drawVehicle(pen, colour, at, ego.message.T_map_vehicle);
   pen.globalAlpha = 1;
   const counts = {};
@@ -134,7 +137,7 @@ function remember(tracks) {
   }
 }
 
-function drawTrack(pen, palette, colour, at, track) {
+function drawTrack(pen, palette, at, track) {
   const [px, py, pz] = track.position_m;
   const [length, breadth] = track.size_m;
   const [c, s] = [Math.cos(track.yaw_rad), Math.sin(track.yaw_rad)];
@@ -155,14 +158,35 @@ function drawTrack(pen, palette, colour, at, track) {
   for (const spot of trail) pen.lineTo(...at(spot.x, spot.y));
   pen.stroke();
   const [vx, vy] = track.velocity_mps;
-  const speed = Math.hypot(vx, vy);
   pen.lineWidth = 2;
-  if (speed > 0.3) line(pen, at(px, py, pz), at(px + vx, py + vy, pz));
+  if (Math.hypot(vx, vy) > SLOW_MPS) arrow(pen, at(px, py, pz), at(px + vx, py + vy, pz));
   pen.lineWidth = 1;
-  if (speed > 0.3 || camera.perMetre > 12) {
-    const [x, y] = at(px, py, pz);
-    pen.fillStyle = colour("text");
-    pen.fillText(`#${track.track_id % 10000}${speed > 0.3 ? ` ${speed.toFixed(1)} m/s` : ""}`, x + 6, y - 6);
+}
+
+// Where it will be in a second.
+function arrow(pen, from, to) {
+  const angle = Math.atan2(to[1] - from[1], to[0] - from[0]);
+  line(pen, from, to);
+  pen.beginPath();
+  pen.moveTo(to[0] - 7 * Math.cos(angle - 0.5), to[1] - 7 * Math.sin(angle - 0.5));
+  pen.lineTo(...to);
+  pen.lineTo(to[0] - 7 * Math.cos(angle + 0.5), to[1] - 7 * Math.sin(angle + 0.5));
+  pen.stroke();
+}
+
+// Class, id and speed beside each track, the nearest first; no two names over each other.
+function nameTracks(pen, colour, at, tracks) {
+  const taken = [];
+  pen.fillStyle = colour("text");
+  for (const track of [...tracks].sort((a, b) => Math.hypot(...a.position_m) - Math.hypot(...b.position_m))) {
+    const speed = Math.hypot(...track.velocity_mps);
+    if (speed <= SLOW_MPS && camera.perMetre <= 12) continue;
+    const text = `${SHORT[track.label] ?? track.label} #${track.track_id % 10000}${speed > SLOW_MPS ? ` ${speed.toFixed(1)} m/s` : ""}`;
+    const [x, y] = at(...track.position_m);
+    const box = [x + 6, y - 17, x + 6 + pen.measureText(text).width, y - 3];
+    if (taken.some((other) => box[0] < other[2] && other[0] < box[2] && box[1] < other[3] && other[1] < box[3])) continue;
+    taken.push(box);
+    pen.fillText(text, x + 6, y - 6);
   }
 }
 

@@ -1,16 +1,22 @@
-// The newest of everything, as the server last told it, and how old each thing is by now.
+// The newest of everything, as the server last told it, and how old each thing is by now. What is not asked for at the
+// moment stays, and ages.
 export const state = { entries: {}, verdicts: [], healths: [], arrivedMs: -Infinity };
 
 export const silentMs = () => performance.now() - state.arrivedMs;
+export const ageMs = (entry) => performance.now() - entry.sinceMs;
+
+function take({ entries, verdicts, healths }) {
+  const now = performance.now();
+  for (const [key, { age_ms: age, message }] of Object.entries(entries)) state.entries[key] = { message, sinceMs: now - age };
+  Object.assign(state, { verdicts, healths, arrivedMs: now });
+}
 
 // The newest message of a product on any host, its age now, and the host; null when there never was one.
 export function newest(product) {
-  const extraMs = silentMs();
   let best = null;
   for (const [key, entry] of Object.entries(state.entries)) {
     if (key.slice(key.indexOf("/") + 1) !== product) continue;
-    const ageMs = entry.age_ms + extraMs;
-    if (!best || ageMs < best.ageMs) best = { host: key.split("/")[0], ageMs, message: entry.message };
+    if (!best || ageMs(entry) < best.ageMs) best = { host: key.split("/")[0], ageMs: ageMs(entry), message: entry.message };
   }
   return best;
 }
@@ -26,10 +32,7 @@ export function connect(wish) {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
     socket = new WebSocket(`${scheme}://${location.host}/ws${location.search}`);
     socket.onopen = () => { retryMs = 250; tell(); };
-    socket.onmessage = (event) => {
-      Object.assign(state, JSON.parse(event.data));
-      state.arrivedMs = performance.now();
-    };
+    socket.onmessage = (event) => take(JSON.parse(event.data));
     socket.onclose = () => {
       setTimeout(open, retryMs);
       retryMs = Math.min(2 * retryMs, 2000);

@@ -1,4 +1,6 @@
 // Verdict, health bar, tables and history: everything that is text.
+import { ageMs } from "/static/store.js";
+
 const NO_VERDICT_AFTER_MS = 300;
 const NO_HEALTH_AFTER_MS = 2500;
 const SIGNS = { SAFE: "✓", CAUTION: "!", IMMINENT: "✕" };
@@ -56,7 +58,7 @@ const plain = (text) => text.replace(/[0-9.]/g, "");
 const whyOf = (reason, why) => (plain(why).includes(plain(reason)) ? why : [reason, why].filter(Boolean).join(" · "));
 
 export const age = (ms) => (ms === null || ms === undefined ? "never" : ms < 950 ? `${Math.round(ms / 50) * 50} ms` : `${(ms / 1000).toFixed(1)} s`);
-const since = (ns) => (ns ? new Date(ns / 1e6).toLocaleTimeString() : "");
+const clock = (ns) => new Date(ns / 1e6).toLocaleTimeString([], { hourCycle: "h23" });
 
 export function drawSensors(health, verdict) {
   if (!health) return;
@@ -64,23 +66,25 @@ export function drawSensors(health, verdict) {
   fill(byId("sensors"), Object.entries(health.message.sensors).map(([name, sensor]) => {
     const input = inputs[name];
     const level = input && input.level;
+    const aged = input && input.age_ms !== null ? input.age_ms + verdict.ageMs : sensor.age_ms === null ? null : sensor.age_ms + health.ageMs;
     return [
       [name],
-      [sensor.state === "online" ? "online" : `${sensor.state} since ${since(sensor.since_ns)}`, sensor.state],
+      [sensor.state === "online" ? "online" : `${sensor.state} since ${sensor.since_ns ? clock(sensor.since_ns) : "the start"}`, sensor.state],
       [level ?? "nothing", level ? `${level}-text` : ""],
-      [age(sensor.age_ms === null ? null : sensor.age_ms + health.ageMs), "num"],
+      [age(aged), "num"],
       [`${sensor.rate_hz.toFixed(0)} Hz`, "num"],
       [whyOf(sensor.reason, input ? input.why : "")],
     ];
   }));
 }
 
-const stages = (split) => Object.entries(split ?? {}).map(([name, ms]) => `${name} ${ms.toFixed(1)}`).join(" · ");
+// Fusion's percentiles are in the table of latencies.
+const stages = (split) => Object.entries(split ?? {}).filter(([name]) => !/_p\d+$/.test(name)).map(([name, ms]) => `${name} ${ms.toFixed(1)}`).join(" · ");
 
-export function drawServices(entries, extraMs) {
+export function drawServices(entries) {
   fill(byId("services"), Object.entries(entries).filter(([key]) => key.endsWith("/status")).sort().map(([key, entry]) => {
     const status = entry.message;
-    const silent = entry.age_ms + extraMs;
+    const silent = ageMs(entry);
     const gone = silent > 3500;
     const words = gone ? `silent for ${age(silent)}` : status.reason ? `${status.state}: ${status.reason}` : status.state;
     return [
@@ -95,9 +99,10 @@ export function drawServices(entries, extraMs) {
 }
 
 // What is kept of what happens: recorders and blackboxes, by their own status.
-export function drawRecording(entries, extraMs) {
+export function drawRecording(entries, cut) {
+  if (cut) return setText(byId("recording"), "Nobody knows here what is recorded");
   const running = (service) => Object.entries(entries)
-    .filter(([key, entry]) => key.endsWith(`/${service}/status`) && entry.age_ms + extraMs < 3500)
+    .filter(([key, entry]) => key.endsWith(`/${service}/status`) && ageMs(entry) < 3500)
     .map(([key, { message }]) => [key.split("/")[0], message]);
   const recorders = running("recorder").map(([host, { reason }]) => `● Recording on ${host}: ${reason}`);
   const boxes = running("blackbox").map(([host, { counters }]) => {
@@ -108,10 +113,14 @@ export function drawRecording(entries, extraMs) {
   setText(byId("recording"), recorders.length || boxes.length ? [...recorders, kept].join(" · ") : "Nothing is recorded: no recorder and no blackbox runs");
 }
 
-export function drawLatency(health, verdict) {
-  const ms = (value) => [value === undefined ? "" : `${value.toFixed(1)} ms`, "num"];
-  fill(byId("latency"), Object.entries(verdict ? verdict.message.inputs : {}).filter(([, input]) => Object.keys(input.stage_ms ?? {}).length)
-    .map(([name, { stage_ms: split }]) => [[name], ms(split.capture), ms(split.processing), ms(split.transport), ms(split.fusion)]));
+// Where the time goes from the measurement to the first verdict that counts it; percentiles over the last 256 inputs.
+export function drawLatency(health, verdict, fusion) {
+  const ms = (value) => [value === undefined ? "" : value.toFixed(value < 99.95 ? 1 : 0), "num"];
+  const whole = fusion ? fusion.message.stage_ms : {};
+  const inputs = Object.entries(verdict ? verdict.message.inputs : {}).filter(([, input]) => Object.keys(input.stage_ms ?? {}).length);
+  const rows = inputs.map(([name, { stage_ms: split }]) => [[name], ms(split.capture), ms(split.processing), ms(split.transport), ms(whole[`${name}_p50`]), ms(whole[`${name}_p99`])]);
+  if ("fusion_p50" in whole) rows.push([["fusion"], [""], [""], [""], ms(whole.fusion_p50), ms(whole.fusion_p99)]);
+  fill(byId("latency"), rows);
   fill(byId("clocks"), Object.entries(health ? health.message.clocks : {}).map(([host, clock]) => [
     [host], [`${clock.offset_ms >= 0 ? "+" : ""}${clock.offset_ms.toFixed(2)} ms`, "num"], [`${clock.bound_ms.toFixed(2)} ms`, "num"],
     [clock.trusted ? "trusted" : "not trusted", clock.trusted ? "online" : "disconnected"],
@@ -131,7 +140,7 @@ export function drawHistory(verdicts, healths) {
   list.replaceChildren(...rows.map((row) => {
     const item = document.createElement("li");
     const time = document.createElement("time");
-    time.textContent = new Date(row.stamp / 1e6).toLocaleTimeString();
+    time.textContent = clock(row.stamp);
     const words = document.createElement("span");
     words.className = row.className;
     words.textContent = row.text;
