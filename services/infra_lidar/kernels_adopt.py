@@ -18,7 +18,7 @@ CROSS_M, CROSS_SLOPE = 0.25, 0.006  # a gap, seen from the sensor, is at most tw
 WIDTH_M = 2.9  # a bus is 2.55 m wide; the rest is noise and a direction that is a little off
 FACE_M = 0.2  # this near the outline a stray is on it
 OUTLINE_SHARE = 0.7
-TURNS_RAD = (0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12)  # directions to try about that of a group
+TURNS_RAD = np.array([0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12])  # directions to try about that of a group
 
 
 @kernel
@@ -108,19 +108,19 @@ def _near(box, core, loose, size, group, min_points):  # type: ignore[no-untyped
 def _best(box, members, strays):  # type: ignore[no-untyped-def]
     """(S,) bool: the strays that the members take in the direction in which they take most."""
     taken, best = np.zeros(len(strays), np.bool_), np.zeros(len(strays), np.bool_)
-    most, yaw = 0, np.float64(0.0)
-    for k in members:
-        for quarter in range(2):
-            tried = box[k, 6] + 0.5 * np.pi * quarter
-            number = _grow(box, members, strays, tried, False, taken)
+    first = np.float64(0.0)
+    for strict in range(2):  # first any direction of a member, then directions about the best of these
+        most, tries = 0, len(TURNS_RAD) if strict else 2 * len(members)
+        best[:] = False
+        for i in range(tries):
+            yaw = first + TURNS_RAD[i] if strict else box[members[i // 2], 6] + 0.5 * np.pi * (i % 2)
+            number = _grow(box, members, strays, yaw, strict == 1, taken)
             if number > most:
-                most, yaw = number, tried
-    most = 0
-    for turn in TURNS_RAD:
-        number = _grow(box, members, strays, yaw + turn, True, taken)
-        if number > most:
-            most = number
-            best[:] = taken
+                most, best_yaw = number, yaw
+                best[:] = taken
+        if most == 0:
+            return best
+        first = best_yaw
     return best
 
 

@@ -143,11 +143,16 @@ def _shared(first: Any, second: Any) -> float:
 @kernel
 def _take_over(track: Any, better: Any) -> None:
     """Identity, age, votes and score stay; place, movement, box and detection are the other one's."""
-    track.mean[:] = better.mean
-    track.cov[:, :] = better.cov
-    track.size[:] = better.size
+    for i in range(6):  # spelled out: whole-array assignments take the compiler seconds
+        track.mean[i] = better.mean[i]
+        for j in range(6):
+            track.cov[i, j] = better.cov[i, j]
+    for i in range(3):
+        track.size[i] = better.size[i]
+    for i in range(track.trail.shape[0]):
+        for j in range(track.trail.shape[1]):
+            track.trail[i, j] = better.trail[i, j]
     track.yaw, track.wobble = better.yaw, better.wobble
-    track.trail[:, :] = better.trail
     track.frames, track.run, track.presence, track.fixture = better.frames, better.run, better.presence, better.fixture
     track.seen_ns, track.points, track.detection = better.seen_ns, better.points, better.detection
     track.moving = track.moving or better.moving

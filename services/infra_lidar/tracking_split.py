@@ -49,24 +49,24 @@ def cut_groups(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, 
 def _cuts(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Pieces: index of the detection, of its track, and where it begins and ends along the long side, from the middle
     (m)."""
-    people = np.zeros(len(tracks), np.bool_)
+    who, number = np.empty(len(tracks), np.int64), 0
     for t in range(len(tracks)):
-        people[t] = _is_person(tracks[t])
-    who = np.flatnonzero(people)
-    source, owner = np.empty(0, np.int64), np.empty(0, np.int64)
-    low, high = np.empty(0), np.empty(0)
-    if len(who) < 2:
-        return source, owner, low, high
-    for d in range(len(detections)):
-        inside, place = _predicted_inside(tracks, who, detections[d])
+        who[number] = t
+        number += _is_person(tracks[t])
+    room = _MOST * len(detections) if number >= 2 else 0
+    source, owner = np.empty(room, np.int64), np.empty(room, np.int64)
+    low, high, pieces = np.empty(room), np.empty(room), 0
+    for d in range(len(detections) if number >= 2 else 0):
+        inside, place = _predicted_inside(tracks, who[:number], detections[d])
         extent = max(detections[d].size[0], detections[d].size[1])
         edges = np.empty(len(inside) + 1)
         if len(inside) < 2 or not _cut(place, extent, edges):
             continue
-        source = np.append(source, np.full(len(inside), d))
-        owner = np.append(owner, inside)
-        low, high = np.append(low, edges[:-1]), np.append(high, edges[1:])
-    return source, owner, low, high
+        for i in range(len(inside)):
+            source[pieces], owner[pieces] = d, inside[i]
+            low[pieces], high[pieces] = edges[i], edges[i + 1]
+            pieces += 1
+    return source[:pieces], owner[:pieces], low[:pieces], high[:pieces]
 
 
 @kernel
@@ -89,8 +89,10 @@ def _predicted_inside(tracks: np.ndarray, who: np.ndarray, seen: Any) -> tuple[n
             if abs(u) < 0.5 * length + _MARGIN_M and abs(v) < 0.5 * width + _MARGIN_M and found < _MOST:
                 inside[found], place[found] = t, u if length >= width else v
                 found += 1
-    order = rising(place[:found])
-    return inside[:found][order], place[:found][order]
+    sorted_inside, sorted_place = np.empty(found, np.int64), np.empty(found)
+    for i, k in enumerate(rising(place[:found])):
+        sorted_inside[i], sorted_place[i] = inside[k], place[k]
+    return sorted_inside, sorted_place
 
 
 @kernel
@@ -101,4 +103,7 @@ def _cut(place: np.ndarray, extent: float, edges: np.ndarray) -> bool:
         if place[k] - place[k - 1] < _APART_M:
             return False
         edges[k] = 0.5 * (place[k] + place[k - 1])
-    return bool(np.all(np.diff(edges) >= _PIECE_M))
+    for k in range(len(place)):
+        if edges[k + 1] - edges[k] < _PIECE_M:
+            return False
+    return True
