@@ -103,7 +103,7 @@ def _cut(place: np.ndarray, extent: float, edges: np.ndarray) -> bool:
         if place[k] - place[k - 1] < _APART_M:
             return False
         edges[k] = 0.5 * (place[k] + place[k - 1])
+    narrowest = np.inf
     for k in range(len(place)):
-        if edges[k + 1] - edges[k] < _PIECE_M:
-            return False
-    return True
+        narrowest = min(narrowest, edges[k + 1] - edges[k])
+    return narrowest >= _PIECE_M
