@@ -139,6 +139,7 @@ class Background:
         return replace(model, known_share=float(self._part(points, model, 0.0).known.mean()))
 
     def _part(self, points: np.ndarray, model: BackgroundModel, near_m: float) -> Sifted:
+        points = np.ascontiguousarray(points, np.float32)
         n, take, block = len(points), self._buffers.take, kernels.BLOCK
         room = n + -n % LINE_FLOATS
         known, ground = take("bg_known", n, np.bool_), take("bg_ground", n, np.bool_)

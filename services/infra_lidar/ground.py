@@ -104,7 +104,7 @@ class Ground:
         return height
 
     def _level(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
-        frame = self._room(len(points))
+        frame, points = self._room(len(points)), np.ascontiguousarray(points, np.float32)
         T, limits, ring_m, sectors, scratch = self._leveller(T_level_sensor)
         returns, near = kernels.level(
             points, T, self._near_m, limits, ring_m, sectors, scratch, frame.x, frame.y, frame.z, frame.cell

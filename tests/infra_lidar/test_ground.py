@@ -120,3 +120,12 @@ def test_no_returns_and_nonsense_are_neither_ground_nor_rest():
 def test_an_empty_frame():
     found = Ground(GroundConfig()).remove(np.zeros((0, 3), np.float32), LEVEL)
     assert len(found.rest) == len(found.ground) == 0
+
+
+def test_points_need_not_lie_row_by_row():
+    """A slice or a transpose of a larger array is levelled as its copy is."""
+    cloud = np.random.default_rng(3).uniform([-20, -20, -1], [20, 20, 1], (500, 3)).astype(np.float32)
+    whole = np.ascontiguousarray(np.hstack([cloud, cloud]))
+    expected = Ground(GroundConfig()).remove(cloud, np.eye(4)).z.copy()
+    for same in (whole[:, :3], np.asfortranarray(cloud), cloud.astype(np.float64)):
+        np.testing.assert_array_equal(Ground(GroundConfig()).remove(same, np.eye(4)).z, expected)
