@@ -82,10 +82,12 @@ def _lines(order: Order, outcome: Outcome) -> list[str]:
             f"level     lower in {_share(c.weaker)}, higher in {_share(c.stronger)}",
         ]
     if (h := outcome.handover) is not None:
-        lines.append(
-            f"handover  longest gap {h.longest_gap_ms:.0f} ms (usual {h.usual_gap_ms:.0f} ms), {h.missed} missed, "
-            f"{h.verdict_flaps} verdict flaps, {h.health_flaps} health flaps"
-        )
+        lines += [
+            f"handover  {_change(h.change_ms)}; {h.missed} missed (before: {h.missed_before}), {h.lost} lost",
+            f"gaps      longest {_ms(h.longest_gap_ms)} (before: {_ms(h.longest_gap_before_ms)}), "
+            f"usual {_ms(h.usual_gap_ms)}",
+            f"flaps     verdict {h.verdict_flaps}, health {h.health_flaps}",
+        ]
     if outcome.promoted:
         lines.append(
             f"promoted: {outcome.new}, process {outcome.pid}. For the next start of this host put into site.toml:"
@@ -94,6 +96,10 @@ def _lines(order: Order, outcome: Outcome) -> list[str]:
     elif not outcome.reasons:
         lines.append("it may take over (nothing was changed)")
     return lines + [f"{'note' if outcome.promoted else 'not promoted'}: {reason}" for reason in outcome.reasons]
+
+
+def _change(change_ms: float) -> str:
+    return f"after {change_ms:.0f} ms" if change_ms >= 0.0 else f"both spoke for {-change_ms:.0f} ms"
 
 
 def _ms(value: float | None) -> str:

@@ -19,7 +19,7 @@ from common.presence import AFTER, Presence
 from common.security.rules import SHADOW
 from common.swap.candidate import Candidate, Live, Predecessor, command_line
 from common.swap.compare import Comparison, Heard, Limits, compare, refuse
-from common.swap.watch import Ear, Gap, handover_seen, primary
+from common.swap.watch import Ear, Gap, handover_seen, primary, speakers
 
 START_BUDGET_S = 90.0
 HANDOVER_BUDGET_S = 5.0
@@ -144,7 +144,7 @@ def _start(order: Order, old: ServiceInfo) -> Candidate:
 def _compare(order: Order, ears: _Ears, candidate: Candidate, say: Callable[[str], None]) -> Comparison:
     """Wait until the candidate is warm, then listen to both for ``seconds``."""
     say(f"candidate {candidate.pid} in the shadow; log in {order.log}")
-    if not ears.shadow.wait(_is_online, START_BUDGET_S, candidate.ended):
+    if not ears.shadow.wait(lambda heard: any(map(_is_online, heard)), START_BUDGET_S, candidate.ended):
         late = f"it was not online within {START_BUDGET_S:.0f} s; see {order.log}"
         raise Refused(candidate.ended() or ears.shadow.wrong or late)
     say(f"it is online; comparing for {order.seconds:g} s")
@@ -169,23 +169,32 @@ def _hand_over(
     comparison: Comparison,
     say: Callable[[str], None],
 ) -> Outcome:
-    """The new one speaks, then the old one is stopped, then both sides of the moment are looked at."""
+    """The new one is there and heard, then the old one is stopped, then both sides of the moment are looked at."""
     start_s = monotonic_s()
+    before, shadow = ears.live.since(0.0), ears.shadow.since(0.0)
+
+    def spoken(heard: list[Heard]) -> tuple[list[Heard], list[Heard]]:
+        return speakers(heard[len(before) :], before[-1].message.seq, shadow[-1].message.seq)
+
     succeeded = AFTER + old.instance.partition(AFTER)[0]
     candidate.promote()
     if not ears.wait_instances(lambda ids: any(i.endswith(succeeded) for i in ids), HANDOVER_BUDGET_S):
         raise Refused(candidate.ended() or "it did not announce itself after SIGUSR1", comparison=comparison)
+    if not ears.live.wait(lambda heard: spoken(heard)[1], HANDOVER_BUDGET_S, candidate.ended):
+        deaf = "it announced itself, but under the live key nobody heard a message whose seq goes on from the shadow's"
+        raise Refused(candidate.ended() or deaf, comparison=comparison)
     new = next(i for _, _, i in ears.presence.instances() if i.endswith(succeeded))
     predecessor.stop()
     ears.promoted = True
     say(f"{new} is live, {old.instance} is stopped; watching for {order.probation_s:g} s")
     gone = ears.wait_instances(lambda ids: old.instance not in ids, HANDOVER_BUDGET_S)
     ears.live.wait(lambda _: False, order.probation_s, candidate.ended)
-    live = ears.live.since(start_s)
-    seen = handover_seen(order.service, live, ears.verdicts.since(start_s), ears.health.since(start_s))
+    by_old, by_new = spoken(ears.live.since(0.0))
+    others = ears.verdicts.since(start_s), ears.health.since(start_s)
+    seen = handover_seen(order.service, before, by_old, by_new, *others)
     reasons = [candidate.ended()] if candidate.ended() else []
-    if seen.messages < order.limits.rate * comparison.live_hz * order.probation_s:
-        reasons.append(f"only {seen.messages} messages in {order.probation_s:g} s after the handover")
+    if len(by_new) < order.limits.rate * comparison.live_hz * order.probation_s:
+        reasons.append(f"only {len(by_new)} messages in {order.probation_s:g} s after the handover")
     if reasons:
         return _roll_back(order, ears, candidate, predecessor, reasons, comparison, seen)
     warning = () if gone else (f"{old.instance} still runs: stop it yourself",)
@@ -213,7 +222,7 @@ def _roll_back(
     candidate.stop()
     begun_s = monotonic_s()
     if predecessor.start_again(order.log):
-        back = ears.live.wait(lambda heard: heard.arrived_s > begun_s, START_BUDGET_S, lambda: False)
+        back = ears.live.wait(lambda heard: heard[-1].arrived_s > begun_s, START_BUDGET_S, lambda: False)
         reasons.append("the old service runs again" if back else f"the old service does not come back; {order.log}")
     return Outcome(promoted=False, reasons=tuple(reasons), comparison=comparison, handover=seen)
 
