@@ -33,7 +33,9 @@ def swap(
     start: Annotated[
         str, typer.Option("--start", help="How its supervisor starts the old one again, to roll back.")
     ] = "",
-    leave: Annotated[bool, typer.Option("--leave", help="Do not mind the new process: end at once.")] = False,
+    leave: Annotated[
+        bool, typer.Option("--leave", help="End at once, also when no supervisor minds the new process.")
+    ] = False,
     log: Annotated[Path | None, typer.Option("--log", help="The candidate's output; default swap-SERVICE.log.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Compare only.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
@@ -89,9 +91,8 @@ def _lines(order: Order, outcome: Outcome) -> list[str]:
             f"flaps     verdict {h.verdict_flaps}, health {h.health_flaps}",
         ]
     if outcome.promoted:
-        lines.append(
-            f"promoted: {outcome.new}, process {outcome.pid}. For the next start of this host put into site.toml:"
-        )
+        minded = " (its host's supervisor minds it)" if outcome.supervised else ""
+        lines.append(f"promoted: {outcome.new}, process {outcome.pid}{minded}. For the next start put into site.toml:")
         lines.append(f"  [hosts.{order.host}.services.{order.service}]  command = {order.candidate!r}")
     elif not outcome.reasons:
         lines.append("it may take over (nothing was changed)")

@@ -51,6 +51,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     old: str = ""
     new: str = ""
     pid: int | None = None
+    supervised: bool = False  # by the supervisor that had started the old one
 
 
 class Refused(Exception):
@@ -69,16 +70,18 @@ def swap(session: zenoh.Session, order: Order, say: Callable[[str], None]) -> tu
     with ExitStack() as stack:
         try:
             old = _running(session, order)
-            predecessor = Predecessor(old.pid, order.stop_command, order.start_command)
+            predecessor = Predecessor(order.service, old.pid, order.stop_command, order.start_command)
             if not predecessor.reachable:
                 raise Refused(f"process {old.pid} is not on this machine: run swap there, or give --stop")
             ears = _Ears(session, order, stack)
-            candidate = _start(order, old)
+            candidate = _start(order, old, predecessor)
             stack.callback(lambda: candidate.stop() if not ears.promoted else None)
             comparison = _compare(order, ears, candidate, say)
             if order.dry_run:
                 return Outcome(promoted=False, comparison=comparison, old=old.instance), None
             outcome = _hand_over(order, ears, candidate, predecessor, old, comparison, say)
+            if outcome.supervised:
+                return outcome, None
             return outcome, candidate.live if outcome.promoted else predecessor.live
         except Refused as refused:
             return Outcome(promoted=False, reasons=refused.reasons, comparison=refused.comparison), None
@@ -128,15 +131,16 @@ def _running(session: zenoh.Session, order: Order) -> ServiceInfo:
     return found[0]
 
 
-def _start(order: Order, old: ServiceInfo) -> Candidate:
+def _start(order: Order, old: ServiceInfo, predecessor: Predecessor) -> Candidate:
     told = {
         "SPOTTER_HOST": order.host,
         "SPOTTER_CONNECT": order.connect,
         "SPOTTER_NAMESPACE": order.namespace,
+        **predecessor.inherited,
     }
     words = command_line(order.candidate, order.host, order.connect, order.namespace)
     try:
-        return Candidate(words, told, old.instance, order.log)
+        return Candidate(words, told, old.instance.partition(AFTER)[0], order.log)
     except OSError as error:
         raise Refused(f"cannot start {words[0]}: {error.strerror}") from None
 
@@ -184,6 +188,7 @@ def _hand_over(
         deaf = "it announced itself, but under the live key nobody heard a message whose seq goes on from the shadow's"
         raise Refused(candidate.ended() or deaf, comparison=comparison)
     new = next(i for _, _, i in ears.presence.instances() if i.endswith(succeeded))
+    predecessor.tell_supervisor(candidate.live, kept=False)
     predecessor.stop()
     ears.promoted = True
     say(f"{new} is live, {old.instance} is stopped; watching for {order.probation_s:g} s")
@@ -197,6 +202,7 @@ def _hand_over(
         reasons.append(f"only {len(by_new)} messages in {order.probation_s:g} s after the handover")
     if reasons:
         return _roll_back(order, ears, candidate, predecessor, reasons, comparison, seen)
+    predecessor.tell_supervisor(candidate.live, kept=True)
     warning = () if gone else (f"{old.instance} still runs: stop it yourself",)
     return Outcome(
         promoted=True,
@@ -206,6 +212,7 @@ def _hand_over(
         old=old.instance,
         new=new,
         pid=candidate.pid,
+        supervised=predecessor.inbox is not None,
     )
 
 
@@ -224,7 +231,13 @@ def _roll_back(
     if predecessor.start_again(order.log):
         back = ears.live.wait(lambda heard: heard[-1].arrived_s > begun_s, START_BUDGET_S, lambda: False)
         reasons.append("the old service runs again" if back else f"the old service does not come back; {order.log}")
-    return Outcome(promoted=False, reasons=tuple(reasons), comparison=comparison, handover=seen)
+    return Outcome(
+        promoted=False,
+        reasons=tuple(reasons),
+        comparison=comparison,
+        handover=seen,
+        supervised=predecessor.inbox is not None,
+    )
 
 
 def _is_online(heard: Heard) -> bool:

@@ -68,6 +68,15 @@ def test_a_candidate_that_warns_less_is_refused_and_one_that_warns_more_is_not()
     assert not refuse(more, limits)
 
 
+@pytest.mark.parametrize(("late_s", "weaker"), [(0.2, 0.0), (0.3, 0.02), (1.0, 0.16)])
+def test_a_level_that_comes_a_little_later_is_no_lower_level(late_s: float, weaker: float) -> None:
+    def approach(begins_s: float) -> list[Heard]:
+        return [radar(1000.0 + 0.1 * i, 5.0, level="IMMINENT" if 0.1 * i > begins_s else "SAFE") for i in range(50)]
+
+    found = compare(RADAR_TRACKS, 5.0, approach(2.05), approach(2.05 + late_s))
+    assert (found.weaker, found.stronger) == (weaker, 0.0)
+
+
 def test_objects_are_matched_once_and_nearest_first() -> None:
     assert in_common(radar(0.0, 3.0, 3.5).message, radar(0.0, 3.4).message) == pytest.approx(2 / 3)
     assert in_common(radar(0.0).message, radar(0.0).message) is None

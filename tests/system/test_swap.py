@@ -135,6 +135,38 @@ def test_an_equal_one_takes_over_and_is_minded(
         eventually(lambda: not instances(laptop))
 
 
+@pytest.fixture
+def pi(router_endpoint: str, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A host whose supervisor runs the stand-in as its radar."""
+    code = "from common.supervisor import *; raise SystemExit(run_supervised(Supervisor([Child('radar', {})])))"
+    environment = {**os.environ, "SPOTTER_CONNECT": router_endpoint}
+    process = subprocess.Popen([sys.executable, "-c", code.format(STANDIN.split())], env=environment)
+    yield process
+    process.terminate()
+    assert process.wait(10) == 0
+
+
+def test_a_hosts_supervisor_goes_on_with_the_new_one(
+    pi: Any, laptop: zenoh.Session, router_endpoint: str, tmp_path: Path
+) -> None:
+    """The command ends, the host minds what speaks; a second swap that fails is rolled back to the first one's."""
+    eventually(lambda: len(instances(laptop)) == 1)
+    with swap(router_endpoint, tmp_path / "log", STANDIN) as (process, outcome):
+        assert outcome["promoted"], outcome
+        assert outcome["supervised"]
+        assert process.wait(10) == 0
+        eventually(lambda: instances(laptop) == {outcome["new"]})
+    with swap(router_endpoint, tmp_path / "log", f"{WORSE} mortal") as (process, second):
+        assert any("ended with code 9" in reason for reason in second["reasons"]), second
+        assert "the old service runs again" in second["reasons"]
+        assert process.wait(10) == 1
+    eventually(lambda: len(pids_of_radar(laptop)) == 1)
+    (back,) = pids_of_radar(laptop)
+    assert back != outcome["pid"]
+    os.kill(back, 9)
+    eventually(lambda: pids_of_radar(laptop) - {back})
+
+
 def test_one_that_fails_after_its_promotion_is_rolled_back(
     standin: subprocess.Popen[bytes], laptop: zenoh.Session, router_endpoint: str, tmp_path: Path
 ) -> None:
