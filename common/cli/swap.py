@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -43,6 +44,8 @@ def swap(
     namespace: Namespace = "spotter",
 ) -> None:
     """Run a candidate in the shadow of a live service, compare, promote it or leave everything as it is."""
+    for signum in (signal.SIGTERM, signal.SIGHUP):  # however it is ended, no candidate is left behind
+        signal.signal(signum, signal.default_int_handler)
     try:
         row = service_row(service)
     except KeyError as error:
@@ -88,7 +91,7 @@ def _lines(order: Order, outcome: Outcome) -> list[str]:
             f"handover  {_change(h.change_ms)}; {h.missed} missed (before: {h.missed_before}), {h.lost} lost",
             f"gaps      longest {_ms(h.longest_gap_ms)} (before: {_ms(h.longest_gap_before_ms)}), "
             f"usual {_ms(h.usual_gap_ms)}",
-            f"flaps     verdict {h.verdict_flaps}, health {h.health_flaps}",
+            f"flaps     verdict {h.verdict_flaps} (before: {h.verdict_flaps_before}), health {h.health_flaps}",
         ]
     if outcome.promoted:
         minded = " (its host's supervisor minds it)" if outcome.supervised else ""

@@ -85,6 +85,8 @@ def swap(session: zenoh.Session, order: Order, say: Callable[[str], None]) -> tu
             return outcome, candidate.live if outcome.promoted else predecessor.live
         except Refused as refused:
             return Outcome(promoted=False, reasons=refused.reasons, comparison=refused.comparison), None
+        except KeyboardInterrupt:
+            return Outcome(promoted=False, reasons=("interrupted; the old service goes on",)), None
 
 
 class _Ears:
@@ -193,20 +195,21 @@ def _hand_over(
     ears.promoted = True
     say(f"{new} is live, {old.instance} is stopped; watching for {order.probation_s:g} s")
     gone = ears.wait_instances(lambda ids: old.instance not in ids, HANDOVER_BUDGET_S)
-    ears.live.wait(lambda _: False, order.probation_s, candidate.ended)
+    watched = _watch(ears, candidate, order.probation_s)
     by_old, by_new = spoken(ears.live.since(0.0))
-    others = ears.verdicts.since(start_s), ears.health.since(start_s)
-    seen = handover_seen(order.service, before, by_old, by_new, *others)
+    verdicts, health = ears.verdicts.since(before[0].arrived_s), ears.health.since(start_s)
+    seen = handover_seen(order.service, before, by_old, by_new, verdicts, health)
     reasons = [candidate.ended()] if candidate.ended() else []
-    if len(by_new) < order.limits.rate * comparison.live_hz * order.probation_s:
+    if watched and len(by_new) < order.limits.rate * comparison.live_hz * order.probation_s:
         reasons.append(f"only {len(by_new)} messages in {order.probation_s:g} s after the handover")
     if reasons:
         return _roll_back(order, ears, candidate, predecessor, reasons, comparison, seen)
     predecessor.tell_supervisor(candidate.live, kept=True)
-    warning = () if gone else (f"{old.instance} still runs: stop it yourself",)
+    warnings = [] if gone else [f"{old.instance} still runs: stop it yourself"]
+    warnings += [] if watched else ["interrupted: the new one was not watched to the end"]
     return Outcome(
         promoted=True,
-        reasons=warning,
+        reasons=tuple(warnings),
         comparison=comparison,
         handover=seen,
         old=old.instance,
@@ -214,6 +217,15 @@ def _hand_over(
         pid=candidate.pid,
         supervised=predecessor.inbox is not None,
     )
+
+
+def _watch(ears: _Ears, candidate: Candidate, seconds: float) -> bool:
+    """The probation; False when a person ends it: there is no way back to the old one without a gap then."""
+    try:
+        ears.live.wait(lambda _: False, seconds, candidate.ended)
+    except KeyboardInterrupt:
+        return False
+    return True
 
 
 def _roll_back(

@@ -34,6 +34,7 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     missed_before: int
     lost: int  # told but not heard, by the sender's own count
     verdict_flaps: int  # level changed and came back within a second
+    verdict_flaps_before: int
     health_flaps: int  # the sensor left online
 
 
@@ -104,8 +105,13 @@ def speakers(live: list[Heard], last_old: int, last_new: int) -> tuple[list[Hear
 def handover_seen(
     service: str, before: list[Heard], old: list[Heard], new: list[Heard], verdicts: list[Heard], health: list[Heard]
 ) -> Gap:
-    """Gaps of the topic before the handover and since, when ``old`` and then ``new`` spoke; flaps of the others."""
+    """Gaps of the topic before the handover and since, when ``old`` and then ``new`` spoke; flaps of the others.
+
+    ``verdicts`` are those of both times, ``health`` is what was heard since.
+    """
     live = sorted(old + new, key=lambda heard: heard.arrived_s)
+    levels = [(heard.arrived_s, level_of(heard.message)) for heard in verdicts]
+    flaps_before = flaps([row for row in levels if before and row[0] <= before[-1].arrived_s])
     usual_s = float(np.median(arrival_gaps_s(before))) if len(before) > 1 else 0.0
     return Gap(
         messages=len(live),
@@ -116,7 +122,8 @@ def handover_seen(
         missed=missed(before[-1:] + live, usual_s),
         missed_before=missed(before, usual_s),
         lost=lost(old) + lost(new),
-        verdict_flaps=flaps([(heard.arrived_s, level_of(heard.message)) for heard in verdicts]),
+        verdict_flaps=flaps(levels) - flaps_before,
+        verdict_flaps_before=flaps_before,
         health_flaps=sum(
             earlier == "online" and later != "online"
             for earlier, later in pairwise(_states(service, (heard.message for heard in health)))

@@ -117,6 +117,24 @@ def test_a_worse_candidate_is_refused(
         assert instances(laptop) == before
 
 
+def test_a_swap_that_is_ended_leaves_no_candidate(
+    standin: Any, laptop: zenoh.Session, router_endpoint: str, tmp_path: Path
+) -> None:
+    words = ["swap", "radar", "--candidate", STANDIN, "--seconds", "60", "--connect", router_endpoint, "--log"]
+    shadows: set[str] = set()
+
+    def note(sample: zenoh.Sample) -> None:
+        (shadows.add if sample.kind == zenoh.SampleKind.PUT else shadows.discard)(str(sample.key_expr))
+
+    laptop.liveliness().declare_subscriber("shadow/pi0/radar/alive/*", note)
+    with subprocess.Popen([str(BIN / "spotter"), *words, str(tmp_path / "log")], stdout=subprocess.PIPE) as process:
+        eventually(lambda: shadows)
+        process.terminate()
+        assert process.wait(10) == 1
+        eventually(lambda: not shadows)
+    assert len(instances(laptop)) == 1
+
+
 def test_an_equal_one_takes_over_and_is_minded(
     standin: subprocess.Popen[bytes], laptop: zenoh.Session, router_endpoint: str, tmp_path: Path
 ) -> None:
