@@ -79,7 +79,8 @@ class _OfSite:
     """
 
     def __init__(self, host: str, site_file: Path | None) -> None:
-        self._host, self._site_file = host, site_file
+        self._host = host
+        self._site_file = site_file.absolute() if site_file else None  # zenohd reads the paths from another folder
         self._complaint = ""
         self.config, self._watch = self._read()
 
