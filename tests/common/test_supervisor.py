@@ -142,7 +142,8 @@ def test_children_die_with_a_killed_supervisor(tmp_path: Path) -> None:
     )
 
     async def scenario() -> None:
-        process = await asyncio.create_subprocess_exec(sys.executable, "-c", code)
+        environment = {**os.environ, "TMPDIR": str(tmp_path)}  # a killed one leaves its folder
+        process = await asyncio.create_subprocess_exec(sys.executable, "-c", code, env=environment)
         await until(lambda: pid_file.exists() and pid_file.read_text())
         pid = int(pid_file.read_text())
         process.kill()
