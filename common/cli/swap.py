@@ -91,7 +91,8 @@ def _lines(order: Order, outcome: Outcome) -> list[str]:
             f"handover  {_change(h.change_ms)}; {h.missed} missed (before: {h.missed_before}), {h.lost} lost",
             f"gaps      longest {_ms(h.longest_gap_ms)} (before: {_ms(h.longest_gap_before_ms)}), "
             f"usual {_ms(h.usual_gap_ms)}",
-            f"flaps     verdict {h.verdict_flaps} (before: {h.verdict_flaps_before}), health {h.health_flaps}",
+            f"flaps     verdict {h.verdict_flaps} (before: {h.verdict_flaps_before}), "
+            f"health {h.health_flaps} (before: {h.health_flaps_before})",
         ]
     if outcome.promoted:
         minded = " (its host's supervisor minds it)" if outcome.supervised else ""

@@ -176,7 +176,6 @@ def _hand_over(
     say: Callable[[str], None],
 ) -> Outcome:
     """The new one is there and heard, then the old one is stopped, then both sides of the moment are looked at."""
-    start_s = monotonic_s()
     before, shadow = ears.live.since(0.0), ears.shadow.since(0.0)
 
     def spoken(heard: list[Heard]) -> tuple[list[Heard], list[Heard]]:
@@ -197,7 +196,7 @@ def _hand_over(
     gone = ears.wait_instances(lambda ids: old.instance not in ids, HANDOVER_BUDGET_S)
     watched = _watch(ears, candidate, order.probation_s)
     by_old, by_new = spoken(ears.live.since(0.0))
-    verdicts, health = ears.verdicts.since(before[0].arrived_s), ears.health.since(start_s)
+    verdicts, health = (ear.since(before[0].arrived_s) for ear in (ears.verdicts, ears.health))
     seen = handover_seen(order.service, before, by_old, by_new, verdicts, health)
     reasons = [candidate.ended()] if candidate.ended() else []
     if watched and len(by_new) < order.limits.rate * comparison.live_hz * order.probation_s:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from itertools import pairwise
 
 import msgspec
@@ -36,6 +36,7 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     verdict_flaps: int  # level changed and came back within a second
     verdict_flaps_before: int
     health_flaps: int  # the sensor left online
+    health_flaps_before: int
 
 
 class Ear:
@@ -107,11 +108,13 @@ def handover_seen(
 ) -> Gap:
     """Gaps of the topic before the handover and since, when ``old`` and then ``new`` spoke; flaps of the others.
 
-    ``verdicts`` are those of both times, ``health`` is what was heard since.
+    ``verdicts`` and ``health`` are those of both times.
     """
     live = sorted(old + new, key=lambda heard: heard.arrived_s)
     levels = [(heard.arrived_s, level_of(heard.message)) for heard in verdicts]
-    flaps_before = flaps([row for row in levels if before and row[0] <= before[-1].arrived_s])
+    change_s = before[-1].arrived_s if before else 0.0
+    flaps_before = flaps([row for row in levels if row[0] <= change_s])
+    left_before = left_online(service, [heard for heard in health if heard.arrived_s <= change_s])
     usual_s = float(np.median(arrival_gaps_s(before))) if len(before) > 1 else 0.0
     return Gap(
         messages=len(live),
@@ -124,10 +127,8 @@ def handover_seen(
         lost=lost(old) + lost(new),
         verdict_flaps=flaps(levels) - flaps_before,
         verdict_flaps_before=flaps_before,
-        health_flaps=sum(
-            earlier == "online" and later != "online"
-            for earlier, later in pairwise(_states(service, (heard.message for heard in health)))
-        ),
+        health_flaps=left_online(service, health) - left_before,
+        health_flaps_before=left_before,
     )
 
 
@@ -160,7 +161,8 @@ def level_of(message: Message) -> str:
     return message.level if isinstance(message, Verdict) else ""
 
 
-def _states(service: str, messages: Iterable[Message]) -> list[str]:
-    """The sensor's state over time, as fusion sees it."""
-    health = [message for message in messages if isinstance(message, SystemHealth)]
-    return [message.sensors[service].state for message in health if service in message.sensors]
+def left_online(service: str, health: list[Heard]) -> int:
+    """How often fusion no longer called the sensor online."""
+    messages = [heard.message for heard in health if isinstance(heard.message, SystemHealth)]
+    states = [message.sensors[service].state for message in messages if service in message.sensors]
+    return sum(earlier == "online" and later != "online" for earlier, later in pairwise(states))

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from common.messages import ObjectTrack, ObjectTracks, RadarTrack, RadarTracks
+from common.messages import ObjectTrack, ObjectTracks, RadarTrack, RadarTracks, SensorHealth, SystemHealth
 from common.presence import claimants, successor
 from common.swap.candidate import command_line
 from common.swap.compare import Heard, Limits, compare, in_common, refuse
@@ -122,6 +122,18 @@ def test_what_is_told_twice_or_late_makes_up_for_nothing() -> None:
     assert seen.change_ms == pytest.approx(-470.0)
     assert seen.missed == 1
     assert seen.longest_gap_ms == pytest.approx(400.0)
+
+
+def health(at_s: float, state: Any) -> Heard:
+    sensor = SensorHealth(state=state, reason="", since_ns=0, age_ms=1.0, rate_hz=10.0)
+    return Heard(SystemHealth(stamp_ns=1, sensors={"radar": sensor}, colour="green", summary="", services={}), at_s)
+
+
+def test_what_was_so_before_is_no_fault_of_the_handover() -> None:
+    before, new = stream(20), stream(20, start_s=1002.0)
+    states = [health(1000.0 + 0.2 * i, "degraded" if i in (3, 6, 15) else "online") for i in range(20)]
+    seen = handover_seen("radar", before, [], new, [], states)
+    assert (seen.health_flaps, seen.health_flaps_before) == (1, 2)
 
 
 def numbered(*numbers: int) -> list[Heard]:
