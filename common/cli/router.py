@@ -19,6 +19,7 @@ from common.cli.connect import Namespace
 from common.cli.fail import fail
 from common.cli.site_option import SiteFile
 from common.config import ConfigError, ZenohConfig
+from common.dead_links import give_up_after
 from common.launch import run_until_stopped, setup_logging
 from common.security.names import NamesWatch
 from common.security.router import router_config
@@ -119,6 +120,7 @@ def _serve(config: ZenohConfig, of_site: _OfSite | None) -> NoReturn:
     try:
         while of_site is None or not of_site.outdated():
             threading.Event().wait(HEARTBEAT_S)
+            give_up_after(config.lease_ms / 1e3)  # again and again: neighbours come and go
             session.info.transports()  # answers only while the session's own threads do
             watchdog.alive()
     finally:
