@@ -9,9 +9,7 @@ Limits are stated with ``msgspec.Meta``. The message of a refusal names file, ke
 
 from __future__ import annotations
 
-import difflib
 import hashlib
-import re
 import tomllib
 import typing
 from collections.abc import Iterable, Mapping
@@ -19,6 +17,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
+
+from common.config_errors import explain, unknown_key
 
 C = TypeVar("C", bound=msgspec.Struct)
 SECRETS = ("token", "password", "private_key")  # keys whose values are nobody else's business
@@ -75,7 +75,7 @@ def _convert(config_type: type[C], document: Mapping[str, Any], origin: str) -> 
     try:
         return msgspec.convert(document, config_type)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"{origin}: {_explain(error, document)}") from None
+        raise ConfigError(f"{origin}: {explain(error, document, config_type)}") from None
     except ValueError as error:  # a __post_init__ check across several keys
         raise ConfigError(f"{origin}: {error}") from None
 
@@ -151,7 +151,7 @@ def _refuse_unknown(
     fields = {field.encode_name: field.type for field in msgspec.structs.fields(config_type)}
     for key, value in document.items():
         if key not in fields:
-            raise ConfigError(f"{origin}: {_unknown_key(key, value, sorted(fields), path)}")
+            raise ConfigError(f"{origin}: {unknown_key(key, value, sorted(fields), path)}")
         nested, where = _struct_in(fields[key]), f"{path}.{key}" if path else key
         if nested is None or not isinstance(value, Mapping):
             continue
@@ -168,27 +168,3 @@ def _struct_in(hint: Any) -> type[msgspec.Struct] | None:
         if isinstance(candidate, type) and issubclass(candidate, msgspec.Struct):
             return candidate
     return None
-
-
-def _unknown_key(key: str, value: Any, known: list[str], path: str) -> str:
-    where = f"[{path}] " if path else ""
-    near = difflib.get_close_matches(key, known, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    shown = "{...}" if isinstance(value, Mapping) else repr(value)
-    return f"{where}{key} = {shown}: no such key; {hint}allowed: {', '.join(known)}"
-
-
-def _explain(error: msgspec.ValidationError, document: Mapping[str, Any]) -> str:
-    """Turn msgspec's text and path into ours, with the value that is wrong."""
-    text, _, path = str(error).partition(" - at `$.")
-    parts = re.findall(r"[^.\[\]`]+", path)
-    value: Any = document
-    for part in parts:
-        if isinstance(value, Mapping):
-            value = value.get(part)
-        elif isinstance(value, list) and part.isdigit():
-            value = value[int(part)]
-    section = ".".join(parts[:-1])
-    where = f"[{section}] " if section else ""
-    text = text[0].lower() + text[1:]
-    return f"{where}{parts[-1] if parts else 'file'} = {value!r}: {text}"

@@ -3,9 +3,9 @@
 The contract, for a service in any language (``spotter swap`` is the other side of it):
 
 1. started with SPOTTER_SHADOW=shadow it speaks below that chunk: ``shadow/<host>/<service>/<product>``;
-2. on SIGUSR1 it speaks under the live keys, and after its first live message declares the token
+2. on SIGUSR1 it speaks under the live keys, its ``seq`` going on, and after its first live message declares the token
    ``<host>/<service>/alive/<its id>-after-<SPOTTER_SUCCEEDS>``: the id says that these two do not compete;
-3. then the old one is stopped.
+3. once that token is there and that message was heard, the old one is stopped.
 
 A process that was warm in the shadow stays warm: nothing is opened, calibrated or compiled again.
 """

@@ -10,13 +10,20 @@ import asyncio
 import contextlib
 import ctypes
 import logging
+import os
 import shutil
 import signal
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
+
+from common.succession import TOLD, Adopted, Successor, adopt, forget, left
 
 log = logging.getLogger("supervisor")
+
+Process = asyncio.subprocess.Process | Adopted
 
 FIRST_BACKOFF_S = 0.2
 LONGEST_BACKOFF_S = 10.0
@@ -37,12 +44,18 @@ class Child:
     pid: int | None = None
     exit_code: int | None = None
     environment: dict[str, str] | None = field(default=None, repr=False)
+    folder: str | None = None  # where it runs
+
+    def become(self, successor: Successor) -> None:
+        """From its next start on."""
+        self.command, self.environment, self.folder = successor.command, successor.environment, successor.folder
 
 
 class Supervisor:
     """``await run()`` returns when every child ended by itself, when stopped, or when a child's config is wrong.
 
-    The exit code is 0, or 2 when a child refused its configuration: a broken file never runs half a system.
+    The exit code is 0, or 2 when a child refused its configuration: a broken file never runs half a system. Whoever
+    takes over from a child by `spotter swap` is minded in its place (common/succession.py).
     """
 
     def __init__(self, children: list[Child], *, write: Callable[[str], None] | None = None) -> None:
@@ -51,19 +64,23 @@ class Supervisor:
         self._width = max((len(child.name) for child in children), default=0)
         self._stop = asyncio.Event()
         self._exit_code = 0
+        self._inbox: Path | None = None
 
     def stop(self) -> None:
         self._stop.set()
 
     async def run(self) -> int:
-        keepers = [asyncio.create_task(self._keep(child, i)) for i, child in enumerate(self.children)]
-        await asyncio.gather(*keepers)
+        with contextlib.ExitStack() as stack:
+            with contextlib.suppress(OSError):  # a full disk keeps nobody from starting
+                self._inbox = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="spotter-")))
+            keepers = [asyncio.create_task(self._keep(child, i)) for i, child in enumerate(self.children)]
+            await asyncio.gather(*keepers)
         return self._exit_code
 
     async def _keep(self, child: Child, index: int) -> None:
         backoff_s = FIRST_BACKOFF_S
         while not self._stop.is_set():
-            lived_s = await self._run_once(child, index)
+            lived_s = await self._run_once(child, index) + await self._mind_successors(child, index)
             if self._stop.is_set():
                 return
             if child.exit_code == 0:
@@ -90,26 +107,50 @@ class Supervisor:
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,
-            env=child.environment,
+            env=self._told(child),
+            cwd=child.folder,
             start_new_session=True,  # Ctrl-C reaches us alone, and we stop them in order
             preexec_fn=_die_with_parent,
         )
         started_s = loop.time()
         child.starts, child.pid, child.exit_code = child.starts + 1, process.pid, None
         forwarding = asyncio.create_task(self._forward(process, child, index))
+        child.exit_code, child.pid = await self._mind(process, child, index), None
+        await forwarding
+        return loop.time() - started_s
+
+    async def _mind(self, process: Process, child: Child, index: int) -> int | None:
+        """Until it ends, or all is stopped and it with it; returns its exit code if we are told."""
         stopping = asyncio.create_task(self._stop.wait())
-        ended = asyncio.create_task(process.wait())
+        ended: asyncio.Task[int | None] = asyncio.create_task(process.wait())
         await asyncio.wait({ended, stopping}, return_when=asyncio.FIRST_COMPLETED)
         if not ended.done():
             await self._end(process, ended, child, index)
         stopping.cancel()
-        child.exit_code, child.pid = await ended, None
-        await forwarding
-        return loop.time() - started_s
+        return await ended
 
-    async def _end(
-        self, process: asyncio.subprocess.Process, ended: asyncio.Task[int], child: Child, index: int
-    ) -> None:
+    async def _mind_successors(self, child: Child, index: int) -> float:
+        """Whoever took over from this child, one after the other; returns for how long they lived in seconds."""
+        started_s, ended_pid = asyncio.get_running_loop().time(), None
+        while self._inbox is not None and (successor := left(self._inbox, child.name)) is not None:
+            if successor.pid != ended_pid and (process := adopt(successor.pid)) is not None:
+                self._say(child, index, f"process {successor.pid} has taken over")
+                child.pid = ended_pid = successor.pid
+                await self._mind(process, child, index)
+                continue
+            forget(self._inbox, child.name)
+            child.exit_code, child.pid = None, None
+            if successor.kept:
+                child.become(successor)
+        return asyncio.get_running_loop().time() - started_s
+
+    def _told(self, child: Child) -> dict[str, str] | None:
+        """The environment of a child, with where a swap finds us."""
+        if self._inbox is None:
+            return child.environment
+        return {**(os.environ if child.environment is None else child.environment), TOLD: str(self._inbox)}
+
+    async def _end(self, process: Process, ended: asyncio.Task[int | None], child: Child, index: int) -> None:
         with contextlib.suppress(ProcessLookupError):
             process.terminate()
             process.send_signal(signal.SIGCONT)  # a frozen process cannot hear the first one
@@ -156,7 +197,9 @@ async def _read_line(stream: asyncio.StreamReader) -> str:
 
 
 def _how(exit_code: int | None) -> str:
-    if exit_code is not None and exit_code < 0:
+    if exit_code is None:
+        return "ended"
+    if exit_code < 0:
         return f"killed by {signal.Signals(-exit_code).name}"
     return f"exited with code {exit_code}"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from common.site import Site
 from common.topics import service_row
@@ -37,6 +38,14 @@ UMask=0077
 SystemCallArchitectures=native
 SystemCallFilter=@system-service
 SystemCallFilter=~@privileged @resources"""
+
+
+_HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # by ProtectHome and PrivateTmp
+
+
+def hidden(*paths: str) -> list[str]:
+    """Those of these paths that no unit can see, however readable they are."""
+    return [path for path in paths if any(Path(path).is_relative_to(folder) for folder in _HIDDEN)]
 
 
 @dataclass(frozen=True)

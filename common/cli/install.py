@@ -15,7 +15,7 @@ from common.cli.connect import AsJson
 from common.cli.fail import fail
 from common.cli.site_option import SiteFile, read_site
 from common.config import ConfigError
-from common.systemd import SYSUSERS, units
+from common.systemd import SYSUSERS, hidden, units
 
 UNITS, USERS = Path("/etc/systemd/system"), Path("/etc/sysusers.d/spotter.conf")
 
@@ -35,18 +35,16 @@ def install(
         files = units(site, host, program, place)
     except ConfigError as error:
         fail(str(error), code=2)
+    told = _out_of_sight(program, place)
+    if told and to == UNITS and not dry_run:
+        fail(told)
+    if told:
+        sys.stderr.write(f"spotter: {told}\n")
     if dry_run:
         shown = {str(to / name): text for name, text in files.items()}
         print(json.dumps(shown) if as_json else "\n".join(f"# {path}\n{text}" for path, text in shown.items()))
         return
-    try:
-        to.mkdir(parents=True, exist_ok=True)
-        for name, text in files.items():
-            (to / name).write_text(text)
-        if to == UNITS:
-            USERS.write_text(SYSUSERS)
-    except PermissionError as error:
-        fail(f"{error.filename}: not writable by this user; run it with sudo")
+    _write(files, to)
     if not as_json:
         print("\n".join(f"wrote {to / name}" for name in files))
     if to == UNITS:
@@ -55,6 +53,27 @@ def install(
         print(json.dumps({"wrote": [str(to / name) for name in files]}))
         return
     print("next: chown -R spotter: /etc/spotter/keys && systemctl enable --now spotter.target " + " ".join(files))
+
+
+def _write(files: dict[str, str], to: Path) -> None:
+    try:
+        to.mkdir(parents=True, exist_ok=True)
+        for name, text in files.items():
+            (to / name).write_text(text)
+        if to == UNITS:
+            USERS.write_text(SYSUSERS)
+    except PermissionError as error:
+        fail(f"{error.filename}: not writable by this user; run it with sudo")
+
+
+def _out_of_sight(program: str, site_file: str) -> str:
+    """What the units could not see, and where to put it; empty when they see all."""
+    paths = hidden(program, site_file, sys.base_prefix)
+    advice = (
+        "keep site.toml in /etc/spotter, and make the environment in /opt/spotter with a Python in nobody's home "
+        "(uv: UV_PYTHON_INSTALL_DIR=/opt/python)"
+    )
+    return f"no unit can see {', '.join(paths)} (ProtectHome, PrivateTmp): {advice}" if paths else ""
 
 
 def _activate() -> None:

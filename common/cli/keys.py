@@ -79,13 +79,13 @@ def all_missing(
 
 @keys.command()
 def revoke(name: NameArgument, site_file: SiteFile = None, as_json: AsJson = False) -> None:
-    """Take a name out of every allow list; the routers follow when they are restarted."""
+    """Take a name out of every allow list; a router that sees the new list starts again with it."""
     site, folder = read_site(site_file)
     try:
         gone = _authority().revoke(folder, name)
     except ConfigError as error:
         fail(str(error))
-    _say(as_json, f"{gone} is revoked: no router will listen to it any more; {_restart(folder, site)}", revoked=gone)
+    _say(as_json, f"{gone} is revoked: no router will listen to it any more; {_copy(folder, site)}", revoked=gone)
 
 
 @keys.command("list")
@@ -135,12 +135,13 @@ def _authority() -> ModuleType:
 def _issued(folder: Path, name: str, path: Path, then: str, site: Site, as_json: bool) -> None:
     entry = read_names(folder).names[name]
     common_name, until = entry.common_name(name), str(entry.expires)
-    text = f"{path}: CN={common_name}, until {until}; {then}\n{_restart(folder, site)}"
+    text = f"{path}: CN={common_name}, until {until}; {then}\n{_copy(folder, site)}"
     _say(as_json, text, file=str(path), name=name, common_name=common_name, expires=until)
 
 
-def _restart(folder: Path, site: Site) -> str:
-    return f"now copy {folder / FILE} to every host and restart the routers of {', '.join(site.hosts)}"
+def _copy(folder: Path, site: Site) -> str:
+    """Where routers watch their own copy (common/cli/router.py) nobody has to restart them."""
+    return f"now copy {folder / FILE} to {', '.join(site.hosts)}: each router starts again when it sees it"
 
 
 def _say(as_json: bool, text: str, **facts: str) -> None:

@@ -11,17 +11,20 @@ import socket
 import sys
 import threading
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
 from common.cli.connect import Namespace
 from common.cli.fail import fail
-from common.cli.site_option import SiteFile, read_site
+from common.cli.site_option import SiteFile
 from common.config import ConfigError, ZenohConfig
+from common.dead_links import give_up_after
 from common.launch import run_until_stopped, setup_logging
+from common.security.names import NamesWatch
 from common.security.router import router_config
 from common.session import close_session, init_zenoh_log, nested_settings, open_session
+from common.site import keys_folder, load_site
 from common.watchdog import Watchdog
 
 log = logging.getLogger("router")
@@ -46,8 +49,13 @@ def router(
     namespace: Namespace = "spotter",
 ) -> None:
     """Run a router until Ctrl-C. Services on this host are its clients; routers link to each other."""
+    of_site: _OfSite | None = None
     if host:
-        config = _of_site(host, site_file)
+        try:
+            of_site = _OfSite(host, site_file)
+        except ConfigError as error:
+            fail(str(error), code=2)
+        config = of_site.config
     else:
         # A router relays keys as they are: the namespace belongs to the sessions that speak, not to the relay.
         endpoints = tuple(listen or ["tcp/127.0.0.1:7447"])
@@ -59,21 +67,46 @@ def router(
     init_zenoh_log("error")
     if host and not config.certificate:
         log.warning(OPEN_MODE, host)
-    run_until_stopped(lambda: _serve(config))
+    run_until_stopped(lambda: _serve(config, of_site))
 
 
 OPEN_MODE = "OPEN MODE: [tls] enabled = false, so whoever reaches the ports of %s may read and say anything"
 
 
-def _of_site(host: str, site_file: Path | None) -> ZenohConfig:
-    site, keys = read_site(site_file)
-    try:
-        return router_config(site, host, keys)
-    except ConfigError as error:
-        fail(str(error), code=2)
+class _OfSite:
+    """The router of a host of the site, and whether another one is wanted by now.
+
+    Zenoh reads its rules once, so new ones call for a new router: but not before it would find all that it needs.
+    """
+
+    def __init__(self, host: str, site_file: Path | None) -> None:
+        self._host = host
+        self._site_file = site_file.absolute() if site_file else None  # zenohd reads the paths from another folder
+        self._complaint = ""
+        self.config, self._watch = self._read()
+
+    def _read(self) -> tuple[ZenohConfig, NamesWatch]:
+        site = load_site(self._site_file)
+        folder = keys_folder(site, self._site_file)
+        watch = NamesWatch(folder)
+        return router_config(site, self._host, folder), watch
+
+    def outdated(self) -> bool:
+        """Somebody was revoked, or has another certificate."""
+        try:
+            if not self._watch.changed():
+                return False
+            self._read()
+        except ConfigError as error:
+            if str(error) != self._complaint:
+                log.error("%s; until it is mended the old rules stay", error)
+                self._complaint = str(error)
+            return False
+        log.warning("the names of the site have changed: starting again with new rules")
+        return True
 
 
-def _serve(config: ZenohConfig) -> bool:
+def _serve(config: ZenohConfig, of_site: _OfSite | None) -> NoReturn:
     os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
     for endpoint in config.listen:
         _refuse_taken(endpoint)
@@ -85,12 +118,21 @@ def _serve(config: ZenohConfig) -> bool:
     watchdog = Watchdog("router")
     watchdog.ready("routing")
     try:
-        while not threading.Event().wait(HEARTBEAT_S):
+        while of_site is None or not of_site.outdated():
+            threading.Event().wait(HEARTBEAT_S)
+            give_up_after(config.lease_ms / 1e3)  # again and again: neighbours come and go
             session.info.transports()  # answers only while the session's own threads do
             watchdog.alive()
     finally:
-        clean = close_session(session)
-    return clean
+        close_session(session)
+    _begin_again()
+
+
+def _begin_again() -> NoReturn:
+    """As the same process, so that no supervisor has to know."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
 def _refuse_taken(endpoint: str) -> None:

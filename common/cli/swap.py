@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -33,7 +34,9 @@ def swap(
     start: Annotated[
         str, typer.Option("--start", help="How its supervisor starts the old one again, to roll back.")
     ] = "",
-    leave: Annotated[bool, typer.Option("--leave", help="Do not mind the new process: end at once.")] = False,
+    leave: Annotated[
+        bool, typer.Option("--leave", help="End at once, also when no supervisor minds the new process.")
+    ] = False,
     log: Annotated[Path | None, typer.Option("--log", help="The candidate's output; default swap-SERVICE.log.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Compare only.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
@@ -41,6 +44,8 @@ def swap(
     namespace: Namespace = "spotter",
 ) -> None:
     """Run a candidate in the shadow of a live service, compare, promote it or leave everything as it is."""
+    for signum in (signal.SIGTERM, signal.SIGHUP):  # however it is ended, no candidate is left behind
+        signal.signal(signum, signal.default_int_handler)
     try:
         row = service_row(service)
     except KeyError as error:
@@ -82,18 +87,24 @@ def _lines(order: Order, outcome: Outcome) -> list[str]:
             f"level     lower in {_share(c.weaker)}, higher in {_share(c.stronger)}",
         ]
     if (h := outcome.handover) is not None:
-        lines.append(
-            f"handover  longest gap {h.longest_gap_ms:.0f} ms (usual {h.usual_gap_ms:.0f} ms), {h.missed} missed, "
-            f"{h.verdict_flaps} verdict flaps, {h.health_flaps} health flaps"
-        )
+        lines += [
+            f"handover  {_change(h.change_ms)}; {h.missed} missed (before: {h.missed_before}), {h.lost} lost",
+            f"gaps      longest {_ms(h.longest_gap_ms)} (before: {_ms(h.longest_gap_before_ms)}), "
+            f"usual {_ms(h.usual_gap_ms)}",
+            f"flaps     verdict {h.verdict_flaps} (before: {h.verdict_flaps_before}), "
+            f"health {h.health_flaps} (before: {h.health_flaps_before})",
+        ]
     if outcome.promoted:
-        lines.append(
-            f"promoted: {outcome.new}, process {outcome.pid}. For the next start of this host put into site.toml:"
-        )
+        minded = " (its host's supervisor minds it)" if outcome.supervised else ""
+        lines.append(f"promoted: {outcome.new}, process {outcome.pid}{minded}. For the next start put into site.toml:")
         lines.append(f"  [hosts.{order.host}.services.{order.service}]  command = {order.candidate!r}")
     elif not outcome.reasons:
         lines.append("it may take over (nothing was changed)")
     return lines + [f"{'note' if outcome.promoted else 'not promoted'}: {reason}" for reason in outcome.reasons]
+
+
+def _change(change_ms: float) -> str:
+    return f"after {change_ms:.0f} ms" if change_ms >= 0.0 else f"both spoke for {-change_ms:.0f} ms"
 
 
 def _ms(value: float | None) -> str:

@@ -22,22 +22,21 @@ def check_certificate(site: Site, name: str, keys: Path) -> Iterator[Finding]:
     if not site.tls.enabled:
         yield warning("tls", "OPEN MODE: whoever reaches a port may read and say anything", "set [tls] enabled = true")
         return
+    issue = f"`spotter keys {'host' if name in site.hosts else 'laptop'} {name}`"
     files = [keys / "ca.crt", keys / f"{name}.crt", keys / f"{name}.key"]
     for path in files:
         if not path.exists():
-            yield broken(
-                "certificate", f"{path} is not there", f"`spotter keys host {name}`, then bundle and unpack it"
-            )
+            yield broken("certificate", f"{path} is not there", f"{issue}, then bundle and unpack it")
             return
     if stat.S_IMODE(files[2].stat().st_mode) & 0o077:
         yield broken("private key", f"{files[2]} can be read by others", f"chmod 600 {files[2]}")
     try:
         certificate = peer_certificate(*files)
     except (ssl.SSLError, OSError) as error:
-        yield broken("certificate", f"{files[1]}: {error}", f"issue it again: `spotter keys host {name}`")
+        yield broken("certificate", f"{files[1]}: {error}", f"issue it again: {issue}")
         return
-    yield _lifetime(certificate, name)
-    yield _register(certificate, name, keys)
+    yield _lifetime(certificate, issue)
+    yield _register(certificate, name, keys, issue)
 
 
 def peer_certificate(authority: Path, certificate: Path, key: Path) -> dict[str, Any]:
@@ -70,15 +69,15 @@ def peer_certificate(authority: Path, certificate: Path, key: Path) -> dict[str,
     return found
 
 
-def _lifetime(certificate: dict[str, Any], name: str) -> Finding:
+def _lifetime(certificate: dict[str, Any], issue: str) -> Finding:
     left_s = ssl.cert_time_to_seconds(certificate["notAfter"]) - time.time()
     told = f"valid for {left_s / 86_400:.0f} more days"
     if left_s < SOON_S:
-        return warning("certificate expiry", told, f"`spotter keys host {name}`, copy it, restart the router")
+        return warning("certificate expiry", told, f"{issue}, bundle and unpack it; the router follows")
     return ok("certificate expiry", told)
 
 
-def _register(certificate: dict[str, Any], name: str, keys: Path) -> Finding:
+def _register(certificate: dict[str, Any], name: str, keys: Path, issue: str) -> Finding:
     common_name = {key: value for ((key, value),) in certificate["subject"]}.get("commonName", "")
     try:
         entry = read_names(keys).names.get(name)
@@ -87,7 +86,7 @@ def _register(certificate: dict[str, Any], name: str, keys: Path) -> Finding:
     if entry is None:
         return broken("names", f"{name} is not in names.json", "copy names.json from the machine with the authority")
     if common_name in entry.revoked:
-        return broken("names", f"{common_name} is revoked", f"`spotter keys host {name}` issues a new one")
+        return broken("names", f"{common_name} is revoked", f"{issue} issues a new one")
     if common_name != entry.common_name(name):
         return broken(
             "names", f"CN={common_name}, but {entry.common_name(name)} is allowed", "copy the new certificate"

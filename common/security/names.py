@@ -59,6 +59,34 @@ def read_names(folder: Path) -> Names:
         raise ConfigError(f"{path}: {error}") from None
 
 
+class NamesWatch:
+    """Whether somebody put another register there; whoever made rules of the old one has to make them again."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._first = self._last = self._mark()
+        self._known = read_names(folder)
+
+    def changed(self) -> bool:
+        """True, from then on, once another one has stood still since the last call.
+
+        Raises:
+            ConfigError: it cannot be read.
+        """
+        mark = self._mark()
+        settled, self._last = mark == self._last, mark
+        if not settled or mark in (None, self._first):  # None: being replaced, or gone; no reason to shut all out
+            return False
+        return read_names(self._folder) != self._known
+
+    def _mark(self) -> tuple[int, ...] | None:
+        try:
+            found = (self._folder / FILE).stat()
+        except OSError:
+            return None
+        return found.st_ino, found.st_mtime_ns, found.st_size
+
+
 def write_names(folder: Path, names: Names) -> None:
     """Replace the register at once, so that a reader never sees half of it."""
     draft = folder / f".{FILE}"

@@ -13,6 +13,7 @@ from typing import IO
 from common.handover import PROMOTE
 from common.hosts import service_environment
 from common.security.rules import SHADOW
+from common.succession import TOLD, Successor, inbox_of, leave
 
 STOP_BUDGET_S = 5.0
 
@@ -83,18 +84,33 @@ class Candidate:
 
 
 class Predecessor:
-    """The running service: stopped by a signal or by its supervisor's command, started again if need be."""
+    """The running service: stopped by a signal or by its supervisor's command, started again if need be.
 
-    def __init__(self, pid: int, stop_command: str, start_command: str) -> None:
-        self.pid = pid
+    ``inbox`` is where `spotter up` or `spotter demo`, if one of them started it, is told who takes over.
+    """
+
+    def __init__(self, service: str, pid: int, stop_command: str, start_command: str) -> None:
+        self.service, self.pid = service, pid
         self.live: Live | None = None  # when it was started again from here
         self._stop_command, self._start_command = shlex.split(stop_command), shlex.split(start_command)
         self._words, self._environment = _remember(pid)
+        self.inbox = None if stop_command else inbox_of(self._environment)
 
     @property
     def reachable(self) -> bool:
         """Can be stopped from here."""
         return bool(self._stop_command or self._words)
+
+    @property
+    def inherited(self) -> dict[str, str]:
+        """What the candidate has to be told so that the next swap finds the same supervisor."""
+        return {TOLD: str(self.inbox)} if self.inbox is not None else {}
+
+    def tell_supervisor(self, new: Live, *, kept: bool) -> None:
+        """Who speaks from now on; until it is kept, its end brings the old command back."""
+        if self.inbox is not None:
+            known = Successor(new.process.pid, new.words, new.environment, str(Path.cwd()), kept)
+            leave(self.inbox, self.service, known)
 
     def stop(self) -> None:
         if self._stop_command:
@@ -103,7 +119,9 @@ class Predecessor:
             os.kill(self.pid, signal.SIGTERM)
 
     def start_again(self, log: Path) -> bool:
-        """By its supervisor's command, or with the words and the environment that it had; False without either."""
+        """By its supervisor, or with the words and the environment that it had; False without either."""
+        if self.inbox is not None:
+            return True  # done as soon as the new one has ended
         if self._start_command:
             return subprocess.run(self._start_command, timeout=30, check=False).returncode == 0
         if not self._words:

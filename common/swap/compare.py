@@ -17,6 +17,9 @@ GATES = {
     "CameraDetections": ("detections", ("distance_m",), (1.0,)),
 }
 ZONE_GATE_M = 0.5
+# Two of the same kind look at different moments: a level counts as lower when it is not reached a little earlier or
+# later either.
+LEVEL_SLACK_S = 0.2
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True):
@@ -56,7 +59,6 @@ def compare(topic: Topic, seconds: float, live: list[Heard], candidate: list[Hea
     """Rates, latencies from measurement to sending, objects in common, and levels, over the same ``seconds``."""
     pairs = _pairs(topic, live, candidate)
     shares = [share for a, b in pairs if (share := in_common(a, b)) is not None]
-    steps = [step for a, b in pairs if (step := _level_step(a, b)) is not None]
     known = {_without_numbers(_fault(heard.message)) for heard in live}
     faults = {reason for heard in candidate if _without_numbers(reason := _fault(heard.message)) not in known}
     return Comparison(
@@ -67,8 +69,8 @@ def compare(topic: Topic, seconds: float, live: list[Heard], candidate: list[Hea
         candidate_p95_ms=_p95_ms(candidate),
         pairs=len(pairs),
         matches=round(float(np.mean(shares)), 3) if shares else None,
-        weaker=round(sum(step < 0 for step in steps) / len(steps), 3) if steps else None,
-        stronger=round(sum(step > 0 for step in steps) / len(steps), 3) if steps else None,
+        weaker=_not_reached([a for a, _ in pairs], candidate),
+        stronger=_not_reached([b for _, b in pairs], live),
         faults=tuple(sorted(faults - {""}))[:3],
     )
 
@@ -148,12 +150,22 @@ def _pairs(topic: Topic, live: list[Heard], candidate: list[Heard]) -> list[tupl
     return pairs
 
 
-def _level_step(live: Message, candidate: Message) -> int | None:
-    """Ranks by which the candidate's level is above the live one's; negative = it would have warned less."""
-    if not hasattr(live, "level"):
+def _not_reached(shown: list[Message], others: list[Heard]) -> float | None:
+    """Share of the messages whose level none of the others' messages of that time has; None where there are none."""
+    if not shown or not hasattr(shown[0], "level"):
         return None
-    ranks: dict[str | None, int] = {None: 0, **{level: rank for rank, level in enumerate(LEVELS)}}
-    return ranks[getattr(candidate, "level", None)] - ranks[getattr(live, "level", None)]
+    their_stamps_ns = np.array([heard.message.stamp_ns for heard in others])
+    their_ranks = np.array([_rank(heard.message) for heard in others])
+    short = 0
+    for message in shown:
+        near = np.abs(their_stamps_ns - message.stamp_ns) <= LEVEL_SLACK_S * 1e9
+        short += int(their_ranks[near].max(initial=0) < _rank(message))
+    return round(short / len(shown), 3)
+
+
+def _rank(message: Message) -> int:
+    level = getattr(message, "level", None)
+    return 0 if level is None else LEVELS.index(level)
 
 
 def _fault(message: Message) -> str:

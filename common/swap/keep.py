@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable
 
 from common.supervisor import Child, Supervisor, run_supervised
@@ -10,11 +9,12 @@ from common.swap.candidate import Live
 
 
 def keep(service: str, live: Live, say: Callable[[str], None]) -> int:
-    """Start the process again whenever it dies; Ctrl-C and SIGTERM stop it. Returns the exit code.
+    """Start the process again whenever it dies; Ctrl-C (and what the command line made the same) stops it.
+
+    Returns the exit code.
 
     One that ends by itself (code 0: another swap has replaced it, or its recording is over) is left alone.
     """
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         code = live.process.wait()
     except KeyboardInterrupt:

@@ -19,7 +19,7 @@ from common.presence import AFTER, Presence
 from common.security.rules import SHADOW
 from common.swap.candidate import Candidate, Live, Predecessor, command_line
 from common.swap.compare import Comparison, Heard, Limits, compare, refuse
-from common.swap.watch import Ear, Gap, handover_seen, primary
+from common.swap.watch import Ear, Gap, handover_seen, primary, speakers
 
 START_BUDGET_S = 90.0
 HANDOVER_BUDGET_S = 5.0
@@ -51,6 +51,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     old: str = ""
     new: str = ""
     pid: int | None = None
+    supervised: bool = False  # by the supervisor that had started the old one
 
 
 class Refused(Exception):
@@ -69,19 +70,23 @@ def swap(session: zenoh.Session, order: Order, say: Callable[[str], None]) -> tu
     with ExitStack() as stack:
         try:
             old = _running(session, order)
-            predecessor = Predecessor(old.pid, order.stop_command, order.start_command)
+            predecessor = Predecessor(order.service, old.pid, order.stop_command, order.start_command)
             if not predecessor.reachable:
                 raise Refused(f"process {old.pid} is not on this machine: run swap there, or give --stop")
             ears = _Ears(session, order, stack)
-            candidate = _start(order, old)
+            candidate = _start(order, old, predecessor)
             stack.callback(lambda: candidate.stop() if not ears.promoted else None)
             comparison = _compare(order, ears, candidate, say)
             if order.dry_run:
                 return Outcome(promoted=False, comparison=comparison, old=old.instance), None
             outcome = _hand_over(order, ears, candidate, predecessor, old, comparison, say)
+            if outcome.supervised:
+                return outcome, None
             return outcome, candidate.live if outcome.promoted else predecessor.live
         except Refused as refused:
             return Outcome(promoted=False, reasons=refused.reasons, comparison=refused.comparison), None
+        except KeyboardInterrupt:
+            return Outcome(promoted=False, reasons=("interrupted; the old service goes on",)), None
 
 
 class _Ears:
@@ -128,15 +133,16 @@ def _running(session: zenoh.Session, order: Order) -> ServiceInfo:
     return found[0]
 
 
-def _start(order: Order, old: ServiceInfo) -> Candidate:
+def _start(order: Order, old: ServiceInfo, predecessor: Predecessor) -> Candidate:
     told = {
         "SPOTTER_HOST": order.host,
         "SPOTTER_CONNECT": order.connect,
         "SPOTTER_NAMESPACE": order.namespace,
+        **predecessor.inherited,
     }
     words = command_line(order.candidate, order.host, order.connect, order.namespace)
     try:
-        return Candidate(words, told, old.instance, order.log)
+        return Candidate(words, told, old.instance.partition(AFTER)[0], order.log)
     except OSError as error:
         raise Refused(f"cannot start {words[0]}: {error.strerror}") from None
 
@@ -144,7 +150,7 @@ def _start(order: Order, old: ServiceInfo) -> Candidate:
 def _compare(order: Order, ears: _Ears, candidate: Candidate, say: Callable[[str], None]) -> Comparison:
     """Wait until the candidate is warm, then listen to both for ``seconds``."""
     say(f"candidate {candidate.pid} in the shadow; log in {order.log}")
-    if not ears.shadow.wait(_is_online, START_BUDGET_S, candidate.ended):
+    if not ears.shadow.wait(lambda heard: any(map(_is_online, heard)), START_BUDGET_S, candidate.ended):
         late = f"it was not online within {START_BUDGET_S:.0f} s; see {order.log}"
         raise Refused(candidate.ended() or ears.shadow.wrong or late)
     say(f"it is online; comparing for {order.seconds:g} s")
@@ -169,35 +175,56 @@ def _hand_over(
     comparison: Comparison,
     say: Callable[[str], None],
 ) -> Outcome:
-    """The new one speaks, then the old one is stopped, then both sides of the moment are looked at."""
-    start_s = monotonic_s()
+    """The new one is there and heard, then the old one is stopped, then both sides of the moment are looked at."""
+    before, shadow = ears.live.since(0.0), ears.shadow.since(0.0)
+
+    def spoken(heard: list[Heard]) -> tuple[list[Heard], list[Heard]]:
+        return speakers(heard[len(before) :], before[-1].message.seq, shadow[-1].message.seq)
+
     succeeded = AFTER + old.instance.partition(AFTER)[0]
     candidate.promote()
     if not ears.wait_instances(lambda ids: any(i.endswith(succeeded) for i in ids), HANDOVER_BUDGET_S):
         raise Refused(candidate.ended() or "it did not announce itself after SIGUSR1", comparison=comparison)
+    if not ears.live.wait(lambda heard: spoken(heard)[1], HANDOVER_BUDGET_S, candidate.ended):
+        deaf = "it announced itself, but under the live key nobody heard a message whose seq goes on from the shadow's"
+        raise Refused(candidate.ended() or deaf, comparison=comparison)
     new = next(i for _, _, i in ears.presence.instances() if i.endswith(succeeded))
+    predecessor.tell_supervisor(candidate.live, kept=False)
     predecessor.stop()
     ears.promoted = True
     say(f"{new} is live, {old.instance} is stopped; watching for {order.probation_s:g} s")
     gone = ears.wait_instances(lambda ids: old.instance not in ids, HANDOVER_BUDGET_S)
-    ears.live.wait(lambda _: False, order.probation_s, candidate.ended)
-    live = ears.live.since(start_s)
-    seen = handover_seen(order.service, live, ears.verdicts.since(start_s), ears.health.since(start_s))
+    watched = _watch(ears, candidate, order.probation_s)
+    by_old, by_new = spoken(ears.live.since(0.0))
+    verdicts, health = (ear.since(before[0].arrived_s) for ear in (ears.verdicts, ears.health))
+    seen = handover_seen(order.service, before, by_old, by_new, verdicts, health)
     reasons = [candidate.ended()] if candidate.ended() else []
-    if seen.messages < order.limits.rate * comparison.live_hz * order.probation_s:
-        reasons.append(f"only {seen.messages} messages in {order.probation_s:g} s after the handover")
+    if watched and len(by_new) < order.limits.rate * comparison.live_hz * order.probation_s:
+        reasons.append(f"only {len(by_new)} messages in {order.probation_s:g} s after the handover")
     if reasons:
         return _roll_back(order, ears, candidate, predecessor, reasons, comparison, seen)
-    warning = () if gone else (f"{old.instance} still runs: stop it yourself",)
+    predecessor.tell_supervisor(candidate.live, kept=True)
+    warnings = [] if gone else [f"{old.instance} still runs: stop it yourself"]
+    warnings += [] if watched else ["interrupted: the new one was not watched to the end"]
     return Outcome(
         promoted=True,
-        reasons=warning,
+        reasons=tuple(warnings),
         comparison=comparison,
         handover=seen,
         old=old.instance,
         new=new,
         pid=candidate.pid,
+        supervised=predecessor.inbox is not None,
     )
+
+
+def _watch(ears: _Ears, candidate: Candidate, seconds: float) -> bool:
+    """The probation; False when a person ends it: there is no way back to the old one without a gap then."""
+    try:
+        ears.live.wait(lambda _: False, seconds, candidate.ended)
+    except KeyboardInterrupt:
+        return False
+    return True
 
 
 def _roll_back(
@@ -213,9 +240,15 @@ def _roll_back(
     candidate.stop()
     begun_s = monotonic_s()
     if predecessor.start_again(order.log):
-        back = ears.live.wait(lambda heard: heard.arrived_s > begun_s, START_BUDGET_S, lambda: False)
+        back = ears.live.wait(lambda heard: heard[-1].arrived_s > begun_s, START_BUDGET_S, lambda: False)
         reasons.append("the old service runs again" if back else f"the old service does not come back; {order.log}")
-    return Outcome(promoted=False, reasons=tuple(reasons), comparison=comparison, handover=seen)
+    return Outcome(
+        promoted=False,
+        reasons=tuple(reasons),
+        comparison=comparison,
+        handover=seen,
+        supervised=predecessor.inbox is not None,
+    )
 
 
 def _is_online(heard: Heard) -> bool:

@@ -30,6 +30,7 @@ def run(config: BlackboxConfig) -> bool:
         server, clock = CapsuleServer(service, folder), FusionClock(service, config.fusion_host)
         service.report.state("online")
         for kept in BusTap(service, config):
+            service.report.beat()  # it publishes nothing: going round is all the proof of life there is
             now_ns = utc_ns()
             with contextlib.suppress(queue.Empty):
                 pipeline.save(now_ns, server.wishes.get_nowait())

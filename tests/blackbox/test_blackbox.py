@@ -292,3 +292,19 @@ def test_two_hosts_save_the_same_incident(zenoh_config: ZenohConfig, tmp_path: P
     counts = summarise(tmp_path / "pi0" / name / "pi0.mcap").counts
     assert counts["pi0/lidar/zones"] > 20
     assert counts[VERDICT_KEY] > 20
+
+
+def test_a_blackbox_with_nothing_to_save_is_alive(
+    router_endpoint: str, tmp_path: Path, spawn: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It publishes nothing for hours; systemd would start it again every half minute, the container be unhealthy."""
+    monkeypatch.setenv("SPOTTER_ALIVE", str(tmp_path / "alive"))
+    connect = f'zenoh.connect=["{router_endpoint}"]'
+    process = spawn("spotter-blackbox", "--set", connect, "--set", f"folder={tmp_path / 'incidents'}")
+    beat, beats, pause = tmp_path / "alive" / "blackbox", set[int](), threading.Event()
+    deadline_s = time.monotonic() + 60.0
+    while len(beats) < 5:  # one a second; without the loop's own word they end after two
+        assert time.monotonic() < deadline_s
+        assert process.poll() is None
+        beats |= {beat.stat().st_mtime_ns} if beat.exists() else set()
+        pause.wait(0.05)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ import pytest
 from common import supervisor as module
 from common.config import ConfigError
 from common.hosts import Plan, children, parse_settings, services_of
+from common.succession import TOLD, Successor, inbox_of, leave
 from common.supervisor import Child, Supervisor
 from common.topics import SERVICES
 
@@ -140,7 +142,8 @@ def test_children_die_with_a_killed_supervisor(tmp_path: Path) -> None:
     )
 
     async def scenario() -> None:
-        process = await asyncio.create_subprocess_exec(sys.executable, "-c", code)
+        environment = {**os.environ, "TMPDIR": str(tmp_path)}  # a killed one leaves its folder
+        process = await asyncio.create_subprocess_exec(sys.executable, "-c", code, env=environment)
         await until(lambda: pid_file.exists() and pid_file.read_text())
         pid = int(pid_file.read_text())
         process.kill()
@@ -148,6 +151,77 @@ def test_children_die_with_a_killed_supervisor(tmp_path: Path) -> None:
         await until(lambda: not alive(pid))
 
     asyncio.run(scenario())
+
+
+class Swapped:
+    """A supervised process that tells where its supervisor is, and another one that takes its place."""
+
+    def __init__(self, folder: Path) -> None:
+        told = folder / "told"
+        tell = f"import os; open({str(told)!r}, 'w').write(os.environ['{TOLD}'])"
+        self.child, self.told = python("radar", SLEEPER.replace("print('up'", f"{tell}; print('up'")), told
+        self.new = subprocess.Popen([sys.executable, "-c", SLEEPER], stdout=subprocess.PIPE)
+
+    async def take_over(self, *, kept: bool) -> None:
+        await until(lambda: self.child.pid and self.told.exists() and self.told.read_text())
+        assert self.new.stdout is not None
+        self.new.stdout.readline()
+        self.leave(kept)
+        assert self.child.pid is not None
+        os.kill(self.child.pid, signal.SIGTERM)
+        await until(lambda: self.child.pid == self.new.pid)
+
+    def leave(self, kept: bool) -> None:
+        inbox = inbox_of({TOLD: self.told.read_text()})
+        assert inbox is not None
+        words = [sys.executable, "-c", "print('new', flush=True)\n" + SLEEPER]
+        leave(inbox, "radar", Successor(self.new.pid, words, dict(os.environ), "/", kept))
+
+    def close(self) -> None:
+        self.new.kill()
+        self.new.communicate()
+
+
+@pytest.fixture
+def swapped(tmp_path: Path) -> Iterator[Swapped]:
+    swapped = Swapped(tmp_path)
+    yield swapped
+    swapped.close()
+
+
+@pytest.mark.parametrize("kept", [True, False], ids=["kept", "on probation"])
+def test_whoever_took_over_is_minded_and_started_again_or_rolled_back(swapped: Swapped, kept: bool) -> None:
+    lines: list[str] = []
+
+    async def scenario() -> None:
+        supervisor = Supervisor([swapped.child], write=lines.append)
+        running = asyncio.create_task(supervisor.run())
+        await swapped.take_over(kept=False)
+        if kept:
+            swapped.leave(kept=True)
+        swapped.new.kill()
+        await until(lambda: swapped.child.starts == 2 and lines[-1] == "radar | up\n")
+        supervisor.stop()
+        assert await running == 0
+
+    asyncio.run(scenario())
+    assert any(f"process {swapped.new.pid} has taken over" in line for line in lines)
+    assert any("ended; starting it again" in line for line in lines)
+    assert any("new" in line for line in lines) == kept
+
+
+def test_whoever_took_over_is_stopped_with_the_others_and_the_folder_goes(swapped: Swapped) -> None:
+    async def scenario() -> None:
+        supervisor = Supervisor([swapped.child], write=lambda _: None)
+        running = asyncio.create_task(supervisor.run())
+        await swapped.take_over(kept=True)
+        supervisor.stop()
+        assert await running == 0
+
+    asyncio.run(scenario())
+    assert swapped.new.wait(10) == 0
+    assert swapped.child.starts == 1
+    assert inbox_of({TOLD: swapped.told.read_text()}) is None
 
 
 def test_hosts_know_their_services() -> None:

@@ -6,8 +6,11 @@ a refused writer gets no error and still hears itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,9 +21,9 @@ from common.codec import decode, encode
 from common.config import ZenohConfig
 from common.messages import RadarTracks, Verdict
 from common.security import authority
-from common.security.router import laptop_config, router_config
-from common.session import build, close_session, open_session
-from common.site import HostConfig, ServicePlace, Site
+from common.security.router import laptop_config
+from common.session import close_session, open_session
+from common.site import load_site
 
 pytestmark = pytest.mark.timeout(60)
 BUDGET_S = 20.0
@@ -157,26 +160,60 @@ def test_malformed_and_oversized_payloads_are_refused_by_the_reader(yard: Any, p
         decode(payload, Verdict)
 
 
-def test_a_revocation_counts_after_the_routers_restart(yard: Any, free_ports: Callable[[], int]) -> None:
-    """A site of its own, so that the others keep theirs: the laptop hears before, and nothing after."""
-    site = Site(
-        hosts={"pi0": HostConfig(local_port=free_ports(), port=free_ports(), services={"radar": ServicePlace()})}
-    )
-    authority.issue(yard.keys, "guest", "laptop")
+@pytest.fixture
+def gate(tmp_path: Path, free_ports: Callable[[], int]) -> Iterator[SimpleNamespace]:
+    """A site of its own with one router as it is deployed: the command, a file, a folder of keys."""
+    file, keys = tmp_path / "site.toml", tmp_path / "keys"
+    file.write_text(f"[hosts.pi0]\nlocal_port = {free_ports()}\nport = {free_ports()}\n[hosts.pi0.services.radar]\n")
+    authority.init(keys, "spotter")
+    authority.issue(keys, "pi0", "host", ("127.0.0.1",))
+    authority.issue(keys, "guest", "laptop")
+    words = [str(Path(sys.executable).with_name("spotter")), "router", "--host", "pi0", "--site", str(file)]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as router:
+        yield SimpleNamespace(site=load_site(file), file=file, keys=keys, router=router)
+        router.terminate()
+        router.communicate()
 
-    def hears_the_radar() -> bool:
-        router = zenoh.open(build(router_config(site, "pi0", yard.keys)))
-        own = open_session(ZenohConfig(connect=(site.hosts["pi0"].loopback,)), give_up_after_s=BUDGET_S)
-        guest = open_session(laptop_config(site, "guest", yard.keys, "pi0"), give_up_after_s=BUDGET_S)
-        heard: list[zenoh.Sample] = []
-        guest.declare_subscriber("pi0/radar/tracks", heard.append)
-        for _ in range(50):
-            own.put("pi0/radar/tracks", b"x")
-            list(own.get("nobody/answers/this", timeout=0.05))  # a round trip to the router
-        for session in (guest, own, router):
-            close_session(session)
-        return bool(heard)
 
-    assert hears_the_radar()
-    authority.revoke(yard.keys, "guest")
-    assert not hears_the_radar()
+def test_a_revocation_restarts_the_router_and_counts_at_once(gate: Any, until: Callable[..., None]) -> None:
+    """The laptop hears before and nothing after, while the host itself goes on; nobody touches the process."""
+    own = open_session(ZenohConfig(connect=(gate.site.hosts["pi0"].loopback,)), give_up_after_s=BUDGET_S)
+    guest = open_session(laptop_config(gate.site, "guest", gate.keys, "pi0"), give_up_after_s=BUDGET_S)
+    heard: dict[str, set[bytes]] = {"own": set(), "guest": set()}
+    own.declare_subscriber("pi0/radar/tracks", lambda sample: heard["own"].add(sample.payload.to_bytes()))
+    guest.declare_subscriber("pi0/radar/tracks", lambda sample: heard["guest"].add(sample.payload.to_bytes()))
+    speaker = open_session(ZenohConfig(connect=(gate.site.hosts["pi0"].loopback,)), give_up_after_s=BUDGET_S)
+
+    def comes_through(word: bytes, *to: str) -> bool:
+        speaker.put("pi0/radar/tracks", word)
+        return all(word in heard[one] for one in to)
+
+    until(lambda: comes_through(b"before", "own", "guest"))
+    authority.revoke(gate.keys, "guest")
+    assert gate.router.stderr is not None
+    told = next(line for line in gate.router.stderr if "names of the site have changed" in line)
+    assert "starting again" in told
+    assert next(line for line in gate.router.stderr if "listening on" in line)
+    until(lambda: comes_through(b"after", "own"))
+    for _ in range(50):
+        comes_through(b"after")
+        list(speaker.get("nobody/answers/this", timeout=0.05))  # a round trip to the router
+    assert b"after" not in heard["guest"]
+    assert gate.router.poll() is None
+    for session in (speaker, guest, own):
+        close_session(session)
+
+
+def test_a_router_stays_as_it_is_while_its_files_are_wrong(gate: Any) -> None:
+    """Half a register, then a register beside a site.toml with a mistake: a restart would end the whole host."""
+    whole = (gate.keys / "names.json").read_bytes()
+    assert gate.router.stderr is not None
+    assert next(line for line in gate.router.stderr if "listening on" in line)
+    (gate.keys / "names.json").write_bytes(whole[:-20])
+    assert "the old rules stay" in next(line for line in gate.router.stderr if "names.json" in line)
+    gate.file.write_text(gate.file.read_text() + "adress = 3\n")
+    (gate.keys / "names.json").write_bytes(whole.replace(b"guest", b"quest"))
+    assert "the old rules stay" in next(line for line in gate.router.stderr if "adress" in line)
+    assert gate.router.poll() is None
+    gate.file.write_text(gate.file.read_text().replace("adress = 3\n", ""))
+    assert next(line for line in gate.router.stderr if "starting again with new rules" in line)

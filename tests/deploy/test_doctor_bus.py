@@ -226,9 +226,15 @@ def test_the_command_knows_a_laptop_by_its_name(inhabited: SimpleNamespace, tmp_
         lines += [f"[hosts.{host}]\nport = {config.port}\nlocal_port = {config.local_port}"]
         lines += [f"[hosts.{host}.services.{service}]" for service in config.services]
     (tmp_path / "site.toml").write_text("\n".join(lines))
-    told = CliRunner().invoke(app, ["doctor", "thief", "--site", str(tmp_path / "site.toml"), "--json"])
-    found = {row["check"]: row["grade"] for row in map(json.loads, told.output.splitlines())}
-    assert told.exit_code == 1
-    assert found["names"] == "broken"  # revoked
-    assert found["enter pi0"] == "ok"
+
+    def says(name: str) -> tuple[int, dict[str, dict[str, str]]]:
+        told = CliRunner().invoke(app, ["doctor", name, "--site", str(tmp_path / "site.toml"), "--json"])
+        return told.exit_code, {row["check"]: row for row in map(json.loads, told.output.splitlines())}
+
+    _, found = says("laptop1")
+    assert found["enter pi0"]["grade"] == found["hear pi0/radar"]["grade"] == "ok"
     assert {"disk", "clock", "versions"} <= set(found)
+    code, found = says("thief")
+    assert code == 1
+    assert [check for check, row in found.items() if row["grade"] == "broken"] == ["names"]  # no blame on the hosts
+    assert found["names"]["do"] == "`spotter keys laptop thief` issues a new one"

@@ -108,7 +108,7 @@ def test_the_commands_from_authority_to_revocation(tmp_path: Path) -> None:
         assert set(archive.getnames()) == {
             "keys/ca.crt", "keys/names.json", "keys/pi0.crt", "keys/pi0.key", "site.toml",
         }  # fmt: skip
-    assert "restart the routers of pi0, jetson0" in spotter("revoke", "lap")
+    assert "names.json to pi0, jetson0: each router starts again" in spotter("revoke", "lap")
     assert "revoked" in spotter("list")
 
 

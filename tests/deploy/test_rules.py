@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
+from typer.testing import CliRunner
 
+from common.cli.__main__ import app
 from common.config import ConfigError, ZenohConfig
 from common.security.names import Name, Names
 from common.security.router import router_config, with_certificate
@@ -85,6 +89,22 @@ def test_zenoh_takes_the_configuration(keys: Path, host: str) -> None:
     build(config)
     assert nested_settings(config)["transport"]["link"]["tls"]["enable_mtls"] is True
     assert len(config.connect) == list(Site().hosts).index(host)  # one link to each earlier host
+
+
+def test_what_show_prints_is_a_file_for_zenohd_wherever_it_runs(
+    keys: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (keys.parent / "site.toml").write_text("[hosts.pi0]\n[hosts.jetson0]\nport = 7449\nlocal_port = 7450\n")
+    monkeypatch.chdir(keys.parent)
+    shown = CliRunner().invoke(app, ["router", "--host", "jetson0", "--site", "site.toml", "--show"])
+    assert shown.exit_code == 0, shown.output
+    (tmp_path / "router.json5").write_text(shown.stdout)
+    read = zenoh.Config.from_file(str(tmp_path / "router.json5"))
+    assert read.get_json("mode") == '"router"'
+    assert json.loads(read.get_json("access_control"))["default_permission"] == "deny"
+    tls = json.loads(read.get_json("transport/link/tls"))
+    assert Path(tls["listen_private_key"]) == keys / "jetson0.key"
+    assert Path(tls["root_ca_certificate"]).is_absolute()
 
 
 def test_the_open_mode_has_neither_certificates_nor_rules(tmp_path: Path) -> None:

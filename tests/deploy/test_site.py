@@ -78,13 +78,27 @@ def test_fusion_and_dashboard_are_told_where_the_others_run() -> None:
         ("[host.pi0]\n", "did you mean 'hosts'"),
         ("[hosts.pi0]\nadress = '1.2.3.4'\n", "did you mean 'address'"),
         ("[hosts.pi0.services.rader]\n", "no service 'rader'"),
-        ("[hosts.'Pi 0']\n", "Pi 0"),
+        ("[hosts.b]\n[hosts.'Pi 0']\n", "[hosts.Pi 0] expected `str` matching"),
         ("[hosts.pi0]\nport = 7448\nlocal_port = 7448\n", "already used by"),
-        ("[hosts.pi0]\nport = 70000\n", "<= 65535"),
-        ("[hosts.a]\nport = 1\nlocal_port = 5\n[hosts.b]\nport = 2\nlocal_port = 5\n", "local_port = 5: already used"),
+        ("[hosts.pi0]\nport = 70000\n", "port = 70000: expected `int` <= 65535"),
+        ("[hosts.a]\n[hosts.b.services.radar]\nset = 3\n", "[hosts.b.services.radar] set = 3: expected `array`"),
+        (
+            "[hosts.a]\nport = 1\nlocal_port = 5\n[hosts.b]\nport = 2\nlocal_port = 5\n",
+            ": [hosts.b] local_port = 5: already used",
+        ),
         ("[tls]\nenable = false\n", "did you mean 'enabled'"),
     ],
-    ids=["section", "key", "service", "host name", "port twice", "port range", "one loopback", "tls"],
+    ids=[
+        "section",
+        "key",
+        "service",
+        "host name",
+        "port twice",
+        "port range",
+        "type in a place of its own",
+        "one loopback",
+        "tls",
+    ],
 )
 def test_a_wrong_file_is_refused_with_the_reason(tmp_path: Path, text: str, told: str) -> None:
     with pytest.raises(ConfigError, match=r".") as refused:

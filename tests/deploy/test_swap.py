@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import pytest
 
-from common.messages import ObjectTrack, ObjectTracks, RadarTrack, RadarTracks
+from common.messages import ObjectTrack, ObjectTracks, RadarTrack, RadarTracks, SensorHealth, SystemHealth
 from common.presence import claimants, successor
 from common.swap.candidate import command_line
 from common.swap.compare import Heard, Limits, compare, in_common, refuse
-from common.swap.watch import flaps, handover_seen, primary
+from common.swap.watch import flaps, handover_seen, lost, primary, speakers
 from common.topics import INFRA_TRACKS, RADAR_TRACKS
 
 
@@ -67,6 +68,15 @@ def test_a_candidate_that_warns_less_is_refused_and_one_that_warns_more_is_not()
     assert not refuse(more, limits)
 
 
+@pytest.mark.parametrize(("late_s", "weaker"), [(0.2, 0.0), (0.3, 0.02), (1.0, 0.16)])
+def test_a_level_that_comes_a_little_later_is_no_lower_level(late_s: float, weaker: float) -> None:
+    def approach(begins_s: float) -> list[Heard]:
+        return [radar(1000.0 + 0.1 * i, 5.0, level="IMMINENT" if 0.1 * i > begins_s else "SAFE") for i in range(50)]
+
+    found = compare(RADAR_TRACKS, 5.0, approach(2.05), approach(2.05 + late_s))
+    assert (found.weaker, found.stronger) == (weaker, 0.0)
+
+
 def test_objects_are_matched_once_and_nearest_first() -> None:
     assert in_common(radar(0.0, 3.0, 3.5).message, radar(0.0, 3.4).message) == pytest.approx(2 / 3)
     assert in_common(radar(0.0).message, radar(0.0).message) is None
@@ -96,11 +106,64 @@ def test_succession_is_in_the_token() -> None:
 
 
 def test_gaps_and_flaps_are_counted() -> None:
-    live = stream(10) + stream(10, start_s=1001.3)
-    seen = handover_seen("radar", live, [], [])
+    before, old = stream(10), stream(3, start_s=1001.0)
+    seen = handover_seen("radar", before, old, stream(10, start_s=1001.6), [], [])
     assert seen.longest_gap_ms == pytest.approx(400.0)
-    assert seen.missed == 3
+    assert seen.change_ms == pytest.approx(400.0)
+    assert (seen.missed, seen.missed_before) == (3, 0)
     assert flaps([(0.0, "SAFE"), (1.0, "CAUTION"), (1.3, "SAFE"), (5.0, "CAUTION"), (9.0, "SAFE")]) == 1
+
+
+def test_what_is_told_twice_or_late_makes_up_for_nothing() -> None:
+    """Both speak for half a second, and one measurement of the time after that is missing."""
+    old, new = stream(6), stream(6, start_s=1000.03) + stream(10, start_s=1000.73)
+    new[-1] = Heard(new[-1].message, new[-1].arrived_s + 0.3)  # late, not missed
+    seen = handover_seen("radar", stream(20, start_s=998.0), old, new, [], [])
+    assert seen.change_ms == pytest.approx(-470.0)
+    assert seen.missed == 1
+    assert seen.longest_gap_ms == pytest.approx(400.0)
+
+
+def health(at_s: float, state: Any) -> Heard:
+    sensor = SensorHealth(state=state, reason="", since_ns=0, age_ms=1.0, rate_hz=10.0)
+    return Heard(SystemHealth(stamp_ns=1, sensors={"radar": sensor}, colour="green", summary="", services={}), at_s)
+
+
+def test_what_was_so_before_is_no_fault_of_the_handover() -> None:
+    before, new = stream(20), stream(20, start_s=1002.0)
+    states = [health(1000.0 + 0.2 * i, "degraded" if i in (3, 6, 15) else "online") for i in range(20)]
+    seen = handover_seen("radar", before, [], new, [], states)
+    assert (seen.health_flaps, seen.health_flaps_before) == (1, 2)
+
+
+def numbered(*numbers: int) -> list[Heard]:
+    said = [radar(1000.0 + 0.05 * i) for i in range(len(numbers))]
+    for heard, seq in zip(said, numbers, strict=True):
+        heard.message.seq = seq
+    return said
+
+
+@pytest.mark.parametrize(
+    ("live", "by_new"),
+    [
+        ((501, 502, 31, 503, 32, 33), [31, 32, 33]),
+        ((501, 503, 32, 34), [32, 34]),
+        ((501, 502), []),
+        ((501, *range(31, 520)), [*range(31, 520)]),
+        ((31, 32), [31, 32]),
+    ],
+    ids=["both", "some lost", "nothing of the new one", "past the old one's end", "nothing more of the old one"],
+)
+def test_who_spoke_is_known_by_whose_numbers_go_on(live: tuple[int, ...], by_new: list[int]) -> None:
+    old, new = speakers(numbered(*live), last_old=500, last_new=30)
+    assert [heard.message.seq for heard in new] == by_new
+    assert lost(new) == sum(b - a - 1 for a, b in pairwise(by_new))
+    assert len(old) + len(new) == len(live)
+
+
+def test_two_with_the_same_numbers_are_told_apart_once_both_speak() -> None:
+    assert not speakers(numbered(31, 32, 33), last_old=30, last_new=30)[1]
+    assert len(speakers(numbered(31, 31, 32, 32), last_old=30, last_new=30)[1]) == 2
 
 
 def test_the_topic_that_counts_is_the_one_others_decide_on() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import socket
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from typer.testing import CliRunner
 
 from common.cli.__main__ import app
 from common.site import HostConfig, ServicePlace, Site
-from common.systemd import needs_of, units
+from common.systemd import hidden, needs_of, units
 from common.watchdog import Watchdog
 
 
@@ -60,6 +61,16 @@ def test_systemd_accepts_the_units_and_calls_them_safe(tmp_path: Path) -> None:
             capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert rated.returncode == 0, rated.stdout[-300:]  # exposure below 2.5 of 10
+
+
+def test_what_a_unit_cannot_see_is_told_before_it_fails_to_start(tmp_path: Path) -> None:
+    seen, unseen = ["/opt/spotter/bin/spotter", "/etc/spotter/site.toml"], ["/home/pi/site.toml", "/root/.local/python"]
+    assert hidden(*seen, *unseen) == unseen
+    site = tmp_path / "site.toml"  # below /tmp
+    site.write_text("[hosts.pi0.services.radar]\n")
+    told = CliRunner().invoke(app, ["install", "pi0", "--site", str(site), "--dry-run"])
+    assert told.exit_code == 0
+    assert f"no unit can see {site}" in told.stderr.replace(f"{sys.prefix}/bin/spotter, ", "")
 
 
 def test_install_writes_what_the_dry_run_shows(tmp_path: Path) -> None:

@@ -117,6 +117,24 @@ def test_a_worse_candidate_is_refused(
         assert instances(laptop) == before
 
 
+def test_a_swap_that_is_ended_leaves_no_candidate(
+    standin: Any, laptop: zenoh.Session, router_endpoint: str, tmp_path: Path
+) -> None:
+    words = ["swap", "radar", "--candidate", STANDIN, "--seconds", "60", "--connect", router_endpoint, "--log"]
+    shadows: set[str] = set()
+
+    def note(sample: zenoh.Sample) -> None:
+        (shadows.add if sample.kind == zenoh.SampleKind.PUT else shadows.discard)(str(sample.key_expr))
+
+    laptop.liveliness().declare_subscriber("shadow/pi0/radar/alive/*", note)
+    with subprocess.Popen([str(BIN / "spotter"), *words, str(tmp_path / "log")], stdout=subprocess.PIPE) as process:
+        eventually(lambda: shadows)
+        process.terminate()
+        assert process.wait(10) == 1
+        eventually(lambda: not shadows)
+    assert len(instances(laptop)) == 1
+
+
 def test_an_equal_one_takes_over_and_is_minded(
     standin: subprocess.Popen[bytes], laptop: zenoh.Session, router_endpoint: str, tmp_path: Path
 ) -> None:
@@ -133,6 +151,38 @@ def test_an_equal_one_takes_over_and_is_minded(
         process.terminate()
         process.wait(10)
         eventually(lambda: not instances(laptop))
+
+
+@pytest.fixture
+def pi(router_endpoint: str, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A host whose supervisor runs the stand-in as its radar."""
+    code = "from common.supervisor import *; raise SystemExit(run_supervised(Supervisor([Child('radar', {})])))"
+    environment = {**os.environ, "SPOTTER_CONNECT": router_endpoint}
+    process = subprocess.Popen([sys.executable, "-c", code.format(STANDIN.split())], env=environment)
+    yield process
+    process.terminate()
+    assert process.wait(10) == 0
+
+
+def test_a_hosts_supervisor_goes_on_with_the_new_one(
+    pi: Any, laptop: zenoh.Session, router_endpoint: str, tmp_path: Path
+) -> None:
+    """The command ends, the host minds what speaks; a second swap that fails is rolled back to the first one's."""
+    eventually(lambda: len(instances(laptop)) == 1)
+    with swap(router_endpoint, tmp_path / "log", STANDIN) as (process, outcome):
+        assert outcome["promoted"], outcome
+        assert outcome["supervised"]
+        assert process.wait(10) == 0
+        eventually(lambda: instances(laptop) == {outcome["new"]})
+    with swap(router_endpoint, tmp_path / "log", f"{WORSE} mortal") as (process, second):
+        assert any("ended with code 9" in reason for reason in second["reasons"]), second
+        assert "the old service runs again" in second["reasons"]
+        assert process.wait(10) == 1
+    eventually(lambda: len(pids_of_radar(laptop)) == 1)
+    (back,) = pids_of_radar(laptop)
+    assert back != outcome["pid"]
+    os.kill(back, 9)
+    eventually(lambda: pids_of_radar(laptop) - {back})
 
 
 def test_one_that_fails_after_its_promotion_is_rolled_back(

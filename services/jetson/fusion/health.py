@@ -28,6 +28,7 @@ class Surroundings:
     """What is known about a sensor's service from outside its data."""
 
     instances: tuple[str, ...] = ()  # of this service on its host, from the tokens
+    handing_over: bool = False  # one of them announced that it takes over, and the old one still speaks
     host_alive: bool = True  # any token of that host
     isolated: bool = False  # we have lost our own link
     status: Received[ServiceStatus] | None = None
@@ -81,7 +82,7 @@ class SensorWatch:
         stamp_age_s = 0.0
         if around.clock_offset_s is not None:
             stamp_age_s = (received.arrived_ns - message.stamp_ns) * 1e-9 + around.clock_offset_s
-        refused = self._ordering.check(received, " ".join(around.instances))
+        refused = self._ordering.check(received, " ".join(around.instances), announced=around.handing_over)
         if refused:
             return refused
         self.frame = Frame(received, read(message), stamp_age_s)

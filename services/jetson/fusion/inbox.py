@@ -107,16 +107,18 @@ class Inbox:
 
     def _surroundings(self, name: str, seen: Observation) -> Surroundings:
         watch, clock = self.watches[name], self.clocks[name]
-        instances = self.roster.services.get(f"{watch.host}/{watch.service}", ())
+        full_name = f"{watch.host}/{watch.service}"
+        instances = self.roster.services.get(full_name, ())
         if not instances:
             clock.forget()  # whoever comes next has a clock of its own
         best, undatable = clock.estimate(seen.now_s), bool(self.own_clock_doubt(seen.now_s))
         why, refused_s = self._refused.get(name, ("", seen.now_s))
         return Surroundings(
             instances=instances,
+            handing_over=full_name in self.roster.handing_over,
             host_alive=watch.host in self.roster.hosts,
             isolated=seen.isolated,
-            status=self.statuses.get(f"{watch.host}/{watch.service}"),
+            status=self.statuses.get(full_name),
             clock_distrust=clock.distrust(seen.now_s),
             clock_offset_s=best.offset_s if best else None if undatable else 0.0,
             undecodable=f"undecodable: {why}" if why and seen.now_s - refused_s < REFUSED_SHOWN_S else "",

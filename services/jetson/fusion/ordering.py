@@ -20,15 +20,18 @@ class Ordering:
         self._sender = ""
         self._went_back_s: deque[float] = deque(maxlen=TWO_SENDERS_AFTER)
 
-    def check(self, received: Received[Message], sender: str) -> str:
-        """Why this message is not to be used; empty when it is. ``sender`` changes when the process does."""
+    def check(self, received: Received[Message], sender: str, *, announced: bool = False) -> str:
+        """Why this message is not to be used; empty when it is.
+
+        ``sender`` changes when the process does; ``announced``: two may speak, one takes over from the other.
+        """
         last, new = self._last, received.message
         same_sender, self._sender = sender == self._sender, sender
         if last is not None and new.seq <= last.message.seq:
             patient = received.arrived_s - last.arrived_s <= self._patience_s
             if new.stamp_ns <= last.message.stamp_ns and patient:
                 return "repeated" if new.stamp_ns == last.message.stamp_ns else "out of order"
-            if same_sender:  # a new measurement under an old number: a restart has another instance
+            if same_sender and not announced:  # a new measurement under an old number: a restart has another instance
                 self._went_back_s.append(received.arrived_s)
         self._last = received
         return ""

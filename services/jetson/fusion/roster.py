@@ -8,12 +8,13 @@ from common.presence import Instance, claimants
 
 
 class Roster:
-    """The processes that claim each service, and the hosts that have any."""
+    """The processes that claim each service, those that are being replaced, and the hosts that have any."""
 
     def __init__(self) -> None:
         self._present: frozenset[Instance] = frozenset()
         self.hosts: frozenset[str] = frozenset()
         self.services: dict[str, tuple[str, ...]] = {}  # by "<host>/<service>"
+        self.handing_over: frozenset[str] = frozenset()  # the same names: the old one is still there, its successor too
 
     def update(self, present: frozenset[Instance]) -> None:
         """Take the tokens that are up now. One whose announced successor is there no longer claims the service."""
@@ -24,4 +25,5 @@ class Roster:
         for host, service, instance in present:
             grouped[f"{host}/{service}"].append(instance)
         self.services = {name: tuple(sorted(claimants(instances))) for name, instances in grouped.items()}
+        self.handing_over = frozenset(name for name, there in grouped.items() if len(there) > len(self.services[name]))
         self.hosts = frozenset(host for host, _, _ in present)

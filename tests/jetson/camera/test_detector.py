@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -177,3 +180,16 @@ def test_tensorrt_keeps_its_engines_where_it_is_told() -> None:
     (name, options), *_ = choose_providers(DetectorConfig(tensorrt_cache="/var/cache/spotter"), [TENSORRT, CPU])
     assert (name, options["trt_engine_cache_path"]) == (TENSORRT, "/var/cache/spotter")
     assert choose_providers(DetectorConfig(), [TENSORRT])[0] == (TENSORRT, {})
+
+
+def test_nothing_is_reported_home(tmp_path: Path) -> None:
+    """ONNX Runtime would keep a file of what it wants to send, below the user's home."""
+    code = "from services.jetson.camera.detector import *; print(Detector(DetectorConfig()).provider)"
+    unasked = {
+        name: value for name, value in os.environ.items() if name not in ("ORT_DISABLE_TELEMETRY", "XDG_CACHE_HOME")
+    }
+    ran = subprocess.run(
+        [sys.executable, "-c", code], env={**unasked, "HOME": str(tmp_path)}, capture_output=True, text=True, check=True
+    )
+    assert "ExecutionProvider" in ran.stdout
+    assert not [path for path in tmp_path.rglob("*") if "onnxruntime" in path.name]

@@ -69,6 +69,25 @@ def test_two_senders_on_one_key_are_noticed_and_their_alarms_count(bench: Any, m
     assert bench.is_in("radar", "online")
 
 
+def test_two_senders_are_right_while_one_announced_that_it_takes_over(bench: Any, messages: Any) -> None:
+    """On a busy machine the old process may take its time to end; whoever speaks on after that is a stranger."""
+    successor = ("pi0", "radar", "new-after-radar")
+
+    def both_speak(steps: int) -> None:
+        for _ in range(steps):
+            bench.run(0.1)
+            other = messages.radar(bench.now_ns, "SAFE")
+            bench.receive(bench.key("radar"), other)
+            bench.tick()
+
+    bench.instances |= {successor}
+    both_speak(20)
+    assert bench.is_in("radar", "online")
+    bench.instances -= {("pi0", "radar", "radar")}
+    both_speak(20)
+    assert bench.is_in("radar", "degraded", "two_claimants")
+
+
 def test_a_restart_is_not_a_second_sender(bench: Any) -> None:
     for instance in range(5):
         bench.kill("radar")

@@ -1,0 +1,73 @@
+"""What is wrong with a configuration, in words for the person who wrote it: section, key, value, what is allowed."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+Document = Mapping[str, Any]
+_ANY_NAME = "..."  # how msgspec writes a name of the user's choice, such as a host's
+
+
+def unknown_key(key: str, value: Any, known: list[str], path: str) -> str:
+    """A key that does not exist, and which one may have been meant."""
+    where = f"[{path}] " if path else ""
+    near = difflib.get_close_matches(key, known, n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    shown = "{...}" if isinstance(value, Mapping) else repr(value)
+    return f"{where}{key} = {shown}: no such key; {hint}allowed: {', '.join(known)}"
+
+
+def explain(error: msgspec.ValidationError, document: Document, config_type: type[msgspec.Struct]) -> str:
+    """msgspec's text and path as ours, with the value that is wrong."""
+    text, _, path = str(error).partition(" - at `")
+    text = text[0].lower() + text[1:]
+    if path.startswith("key`"):  # a name of the user's choice that may not be used
+        table, place = document, [*re.findall(r"[\w.]+", path.rpartition("$")[2].replace(".", " ")), _ANY_NAME]
+        return f"[{'.'.join(_named(place, table, config_type, str(error)))}] {text}"
+    parts = re.findall(r"\.{3}|[^.\[\]`$]+", path)
+    parts = _named(parts, document, config_type, str(error))
+    value: Any = document
+    for part in parts:
+        value = value[int(part)] if isinstance(value, list) else value.get(part)
+    if isinstance(value, Mapping):  # a section as a whole: nobody wants to read all of it
+        return f"[{'.'.join(parts)}] {text}" if parts else text
+    section = ".".join(parts[:-1])
+    return f"{f'[{section}] ' if section else ''}{parts[-1]} = {value!r}: {text}"
+
+
+def _named(parts: list[str], document: Document, config_type: type[msgspec.Struct], complaint: str) -> list[str]:
+    """The path with the names of the user's choice filled in: of those whose entry alone brings the same complaint."""
+    while _ANY_NAME in parts:
+        place = parts[: parts.index(_ANY_NAME)]
+        table: Any = document
+        for part in place:
+            table = table[part]
+        for name in table:
+            reduced = _only(document, [*place, name])
+            if _complaint(reduced, config_type) == complaint:
+                parts, document = [*place, name, *parts[len(place) + 1 :]], reduced
+                break
+        else:
+            return parts
+    return parts
+
+
+def _only(document: Document, place: list[str]) -> Document:
+    """The document with one entry left in the table that ``place`` leads into."""
+    first, *rest = place
+    if not rest:
+        return {first: document[first]}
+    return {**document, first: _only(document[first], rest)}
+
+
+def _complaint(document: Document, config_type: type[msgspec.Struct]) -> str:
+    try:
+        msgspec.convert(document, config_type)
+    except msgspec.ValidationError as error:
+        return str(error)
+    return ""
