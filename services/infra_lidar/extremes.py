@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.ordering import sort_rising
 
 LARGEST, SMALLEST = np.int32(2**31 - 1), np.int32(-(2**31) + 1)
 
@@ -79,5 +80,5 @@ def smallest_but(values, rank):  # type: ignore[no-untyped-def]
             held[m] = values[i]
             m += 1
     held = held[:m]
-    held.sort()
+    sort_rising(held)
     return held[rank - before]

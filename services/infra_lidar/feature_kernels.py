@@ -15,6 +15,7 @@ from numba import njit
 
 from services.infra_lidar.buffers import aligned
 from services.infra_lidar.extremes import chosen_extent, low_high
+from services.infra_lidar.ordering import sort_rising
 
 SLICES = 5
 RANKS = (0.05, 0.10, 0.25, 0.50, 0.75, 0.95)
@@ -199,7 +200,7 @@ def _rank_columns(
         while start[b + 1] <= k:
             b += 1
         segment = work[start[b] : start[b + 1]]
-        segment.sort()
+        sort_rising(segment)
         ranks[j] = segment[k - start[b]]
     row[6], row[24], row[7] = base + ranks[2], base + ranks[3], base + ranks[4]
     row[20] = ranks[5] - ranks[0]

@@ -1,7 +1,7 @@
-"""Sorted order of a few hundred numbers, for kernels.
+"""Sorting a few hundred numbers, for kernels.
 
-numpy's ``argsort`` would do, but takes the compiler seconds for each type and each kernel that calls it: this takes it
-a tenth of one. Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
+numpy's ``sort`` and ``argsort`` would do, but take the compiler seconds for each type and each kernel that calls them:
+these take it a tenth of one. Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
 """
 
 from __future__ import annotations
@@ -31,3 +31,19 @@ def rising(keys):  # type: ignore[no-untyped-def]
         order, other = other, order
         width *= 2
     return order
+
+
+@kernel
+def sort_rising(values):  # type: ignore[no-untyped-def]
+    """Sort (n,) values in place (Shell 1959, with steps of Knuth's: 1, 4, 13, 40 ...)."""
+    n, step = len(values), 1
+    while 3 * step < n:
+        step = 3 * step + 1
+    while step > 0:
+        for i in range(step, n):
+            moved, j = values[i], i
+            while j >= step and values[j - step] > moved:
+                values[j] = values[j - step]
+                j -= step
+            values[j] = moved
+        step //= 3
