@@ -108,19 +108,17 @@ def _near(box, core, loose, size, group, min_points):  # type: ignore[no-untyped
 def _best(box, members, strays):  # type: ignore[no-untyped-def]
     """(S,) bool: the strays that the members take in the direction in which they take most."""
     taken, best = np.zeros(len(strays), np.bool_), np.zeros(len(strays), np.bool_)
-    first = np.float64(0.0)
+    middle = np.float64(0.0)  # tried where no direction of a member takes anything
     for strict in range(2):  # first any direction of a member, then directions about the best of these
-        most, tries = 0, len(TURNS_RAD) if strict else 2 * len(members)
+        most, tries, best_yaw = 0, len(TURNS_RAD) if strict else 2 * len(members), middle
         best[:] = False
         for i in range(tries):
-            yaw = first + TURNS_RAD[i] if strict else box[members[i // 2], 6] + 0.5 * np.pi * (i % 2)
+            yaw = middle + TURNS_RAD[i] if strict else box[members[i // 2], 6] + 0.5 * np.pi * (i % 2)
             number = _grow(box, members, strays, yaw, strict == 1, taken)
             if number > most:
                 most, best_yaw = number, yaw
                 best[:] = taken
-        if most == 0:
-            return best
-        first = best_yaw
+        middle = best_yaw
     return best
 
 

@@ -1,7 +1,8 @@
 """Sorting a few hundred numbers, for kernels.
 
 numpy's ``sort`` and ``argsort`` would do, but take the compiler seconds for each type and each kernel that calls them:
-these take it a tenth of one. Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
+these take it a tenth of one. Whoever changes this file has to clear the compiled kernels of its users: their cache does
+not notice.
 """
 
 from __future__ import annotations
