@@ -194,8 +194,8 @@ def print_urgent(bench: Bench) -> None:
         bench.lab.heal(host)
         key = "infra0/infra_lidar/tracks" if host == "infra0" else "jetson0/fusion/verdict"
         for shown in (key, *(one for one in counted if large and one.endswith(large))):
-            ways_ms = counted[shown]["ms"] or [np.nan]
-            spread = "".join(f"{np.percentile(ways_ms, q):>8.1f}" for q in (50, 99, 100))
+            ways_ms = counted[shown]["ms"]  # none of what is large: its way is not what is asked
+            spread = "".join(f"{np.percentile(ways_ms, q):>8.1f}" for q in (50, 99, 100)) if ways_ms else ""
             print(f"{host}, {mbit_s:<4.0f} Mbit/s    {large or '-':<20}{shown:<28}"
                   f"{len(counted[shown]['bytes']) / COUNT_S:>6.1f}{spread}", flush=True)  # fmt: skip
         bench.vehicle.wait(site.all_online, monotonic_s())
