@@ -221,3 +221,14 @@ def test_stages_that_no_stamp_tells_are_left_out(run: Run) -> None:
     seen, _ = run.watch.judge(8.125, START_NS, THERE)
     assert set(seen.stage_ms) == {"processing", "transport", "fusion"}
     assert seen.stage_ms["processing"] == pytest.approx(57.5)  # from the measurement, when nobody says when it arrived
+
+
+@pytest.mark.parametrize(("announced", "cause"), [(None, "two_claimants"), (False, "two_claimants"), (True, "")])
+def test_numbers_that_go_back_are_another_sender_unless_one_takes_over(
+    run: Run, announced: bool | None, cause: str
+) -> None:
+    around = THERE if announced is None else replace(THERE, handing_over=announced)
+    for eighth in range(8):
+        run._seq = 10 * (eighth % 2)  # new measurements, alternately under old and new numbers
+        run.take(8.0 + 0.125 * eighth, around=around)
+    assert run.judge(9.0, around).cause == cause
