@@ -31,7 +31,7 @@ class ClusterPoints:
 
     cluster_id: (N,) int32 per point of the frame, -1 = none. planar: (3, M) float32 x, y, z, grouped; cluster k has
     planar[:, offsets[k]:offsets[k + 1]]. offsets: (K + 1,) int64. box: (K, 8) float32: centre x, y, z, length, width,
-    height, yaw, gap to the road. All but ``box`` are views into buffers, valid until the next frame.
+    height, yaw, gap to the road. Only ``cluster_id`` is a view into a buffer, valid until the next frame.
     """
 
     cluster_id: np.ndarray
@@ -195,4 +195,4 @@ class Clustering:
     def _result(self, frame: Levelled, found: _Grouped) -> ClusterPoints:
         cluster_id = self._buffers.take("cluster_id", len(frame.x), np.int32)
         clusters.write_ids(found.source, found.offsets, cluster_id)
-        return ClusterPoints(cluster_id, found.points[:3], found.offsets, found.box)
+        return ClusterPoints(cluster_id, found.points[:3].copy(), found.offsets.copy(), found.box)

@@ -176,3 +176,21 @@ def test_an_empty_frame():
     found, _ = _cluster(np.zeros((0, 3)), np.zeros((0, 3)))
     assert len(found) == 0
     assert found.points.shape == (0, 3)
+
+
+def test_clusters_outlive_the_next_frame():
+    """Whoever trains keeps those of many frames."""
+    clustering, frames = Clustering(ClusteringConfig(), 100.0), []
+    for x in (8, 20):
+        xyz = _solid(x, 0, 0.5, 0.5, 0.2, 1.7).astype(np.float32)
+        n = len(xyz)
+        frame = Levelled(
+            x=xyz[:, 0].copy(), y=xyz[:, 1].copy(), z=xyz[:, 2].copy(), cell=np.zeros(n, np.int16),
+            ground=np.zeros(n, bool), rest=np.arange(n, dtype=np.int32), points=np.vstack([xyz.T, xyz.T[2:]]),
+        )  # fmt: skip
+        found = clustering.cluster(frame)
+        frames.append((found, found.points.copy(), found.offsets.copy(), found.box.copy()))
+    for found, points, offsets, box in frames:
+        assert np.array_equal(found.points, points)
+        assert np.array_equal(found.offsets, offsets)
+        assert np.array_equal(found.box, box)
