@@ -1,21 +1,27 @@
-"""The compiled pass behind ``features.py``: moments, extents, height ranks, slices and the bird's-eye hull.
+"""The compiled pass behind ``features.py``: moments, extents, height ranks, slices, spacing and the bird's-eye hull.
 
-One cluster at a time is copied into planar scratch arrays relative to its first point (float32 stays exact to
-micrometres inside a cluster), then a handful of short loops run over it, most of them vectorised. Ranks come from the
-counts of 256 height bins, followed by a selection inside the one bin that holds the rank: exact, and linear in the
-points.
+One cluster at a time is copied into planar scratch arrays about its mean (float32 stays exact to micrometres inside a
+cluster), with places for whole vectors: those behind the last point hold 0, the mean, which changes no sum of squares
+and no extent. Ranks come from the counts of 256 height bins, followed by a selection inside the one bin that holds the
+rank: exact, and linear in the points.
+
+Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
-from numba import njit
 
 from services.infra_lidar.buffers import aligned
-from services.infra_lidar.extremes import chosen_extent, low_high
+from services.infra_lidar.feature_neighbours import in_turn, room_for, spacing
+from services.infra_lidar.jit import inline, kernel
 from services.infra_lidar.ordering import sort_rising
+from services.infra_lidar.vectors import (
+    LANES, fma, lanes, larger, least, load, most, ones, select, smaller, splat, store, total, whole,
+)  # fmt: skip
 
 SLICES = 5
 RANKS = (0.05, 0.10, 0.25, 0.50, 0.75, 0.95)
@@ -31,65 +37,80 @@ ALL_NAMES: tuple[str, ...] = (
     "slice_width_0", "slice_width_1", "slice_width_2", "slice_width_3", "slice_width_4",
     "nn_dist_std", "n_components", "largest_component_ratio", "hull_point_ratio",
 )  # fmt: skip
-_WIDTH = len(ALL_NAMES)
+_WIDTH, _NN_STD = len(ALL_NAMES), ALL_NAMES.index("nn_dist_std")
 _BINS = 256
 _EPS = 1e-9
-
-_jit = njit(nogil=True, cache=True, error_model="numpy")
-_fast = njit(nogil=True, cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "nnan"})
+_LARGE_M = np.float32(1e9)
 
 
-def geometry_features(
-    planar: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, with_hull: bool = True
-) -> np.ndarray:
-    """(K, len(ALL_NAMES)) float32 of the points ``planar`` (3, M) float32.
+def cluster_features(
+    planar: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, hull: bool, neighbours: bool, nearest: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """(K, len(ALL_NAMES)) float32 of the points ``planar`` (3, M) float32, and (K,) the median distance to the nearest.
 
-    The last four columns are filled elsewhere (1 for the hull ratio, else 0); ``hull_fill`` is 0 without ``with_hull``.
+    The last three columns are filled elsewhere (1 for the hull ratio, else 0); ``hull_fill`` is 0 without ``hull``,
+    ``nn_dist_std`` without ``neighbours``, and the median without ``nearest``.
     """
-    out = np.zeros((len(offsets) - 1, _WIDTH), np.float32)
-    room = (int(np.diff(offsets).max(initial=1)) // 64 + 1) * 64
-    scratch, bins = aligned(6 * room, np.float32).reshape(6, room), aligned(room, np.uint8)
-    _all_clusters(planar, offsets, ground_z_m, scratch, bins, with_hull, out)
-    return out
+    table, nearest_m = np.zeros((len(offsets) - 1, _WIDTH), np.float32), np.zeros(len(offsets) - 1, np.float32)
+    largest = int(np.diff(offsets).max(initial=1))
+    room, cells = room_for(largest if neighbours else 0)
+    size = (largest // LANES + 2) * LANES
+    scratch, work = aligned(6 * size, np.float32).reshape(6, size), aligned(6 * room, np.float32).reshape(6, room)
+    start, bins = np.empty(cells, np.int32), aligned(size, np.uint8)
+    _all_clusters(
+        planar, offsets, ground_z_m, scratch, bins, work, start, hull, neighbours, nearest, table, nearest_m
+    )
+    return table, nearest_m
 
 
-@_jit
+@kernel
 def _all_clusters(
     planar: np.ndarray, offsets: np.ndarray, ground: np.ndarray, scratch: np.ndarray, bins: np.ndarray,
-    with_hull: bool, out: np.ndarray,
+    work: np.ndarray, start: np.ndarray, hull: bool, neighbours: bool, nearest: bool, out: np.ndarray,
+    nearest_m: np.ndarray,
 ) -> None:  # fmt: skip
     for k in range(len(offsets) - 1):
         first, last = offsets[k], offsets[k + 1]
-        n = last - first
-        x0, y0, z0 = planar[0, first], planar[1, first], planar[2, first]
-        x, y, z = scratch[0, :n], scratch[1, :n], scratch[2, :n]
-        for axis in range(3):
-            _shifted(planar[axis, first:last], planar[axis, first], scratch[axis, :n])
-        u, v, work = scratch[3, :n], scratch[4, :n], scratch[5, :n]
-        _one_cluster(x, y, z, u, v, work, bins[:n], x0, y0, z0 - ground[k], with_hull, out[k])
+        mx, my = _centred(planar[0, first:last], scratch[0]), _centred(planar[1, first:last], scratch[1])
+        base = _centred(planar[2, first:last], scratch[2]) - ground[k]
+        _one_cluster(scratch, bins, last - first, mx, my, base, hull, out[k])
+        if neighbours:
+            out[k, _NN_STD], nearest_m[k] = spacing(scratch[:3], last - first, work, start, nearest)
 
 
-@_fast
-def _shifted(a: np.ndarray, origin: float, out: np.ndarray) -> None:
-    for i in range(len(a)):
-        out[i] = a[i] - origin
+@kernel
+def _centred(values: np.ndarray, out: np.ndarray) -> float:
+    """Copy about the mean, zeros behind the last one; returns the mean."""
+    n, origin = len(values), values[0]
+    rest = n - n % LANES
+    added = splat(np.float32(0.0))
+    for i in range(0, rest, LANES):
+        x = load(values, i) - origin
+        store(out, i, x)
+        added += x
+    mean = total(added)
+    store(out, rest, splat(np.float32(0.0)))
+    for i in range(rest, n):
+        out[i] = values[i] - origin
+        mean += out[i]
+    mean /= np.float32(n)
+    for i in range(0, rest, LANES):
+        store(out, i, load(out, i) - mean)
+    for i in range(rest, n):
+        out[i] -= mean
+    return origin + mean
 
 
-@_jit
+@kernel
 def _one_cluster(
-    x: np.ndarray, y: np.ndarray, z: np.ndarray, u: np.ndarray, v: np.ndarray, work: np.ndarray, bins: np.ndarray,
-    x0: float, y0: float, base: float, with_hull: bool, row: np.ndarray,
-) -> None:  # fmt: skip
-    n = len(x)
-    mx, my, mz = _mean(x), _mean(y), _mean(z)
-    cxx, cyy, czz = _moment(x, x, mx, mx), _moment(y, y, my, my), _moment(z, z, mz, mz)
-    cxy, cxz, cyz = _moment(x, y, mx, my), _moment(x, z, mx, mz), _moment(y, z, my, mz)
+    scratch: np.ndarray, bins: np.ndarray, n: int, mx: float, my: float, base: float, hull: bool, row: np.ndarray
+) -> None:
+    """scratch (6, n or more): x, y, z about the mean, and room for three more; ``base`` is the mean's height."""
+    z, u, v = scratch[2], scratch[3], scratch[4]
+    cxx, cyy, czz, cxy, cxz, cyz, z_low, z_high = _moments(scratch[0], scratch[1], z, n)
     cos, sin, ratio = _axes(cxx, cxy, cyy)
-    _rotate(x, y, cos, sin, u, v)
-    z_low, z_high = low_high(z)
-    u_low, u_high = low_high(u)
-    v_low, v_high = low_high(v)
-    length, width, tall = u_high - u_low, v_high - v_low, z_high - z_low
+    length, width, u_low = _turned(scratch[0], scratch[1], n, cos, sin, u, v)
+    tall = z_high - z_low
     spread, area = math.sqrt(length * length + width * width), length * width
     row[0], row[1], row[2], row[3] = n, spread, area, tall
     row[4] = tall / spread if spread > _EPS else 0.0
@@ -97,43 +118,50 @@ def _one_cluster(
     row[5] = n / solid if solid > 1e-6 else 0.0
     row[8], row[9] = math.sqrt(czz), ratio
     _eigen_columns(cxx, cyy, czz, cxy, cxz, cyz, row)
-    _rank_columns(z, z_low, tall, base, work, bins, row)
-    _slice_columns(u, v, z, z_low, tall, bins, row)
+    _rank_columns(z, n, z_low, tall, base, scratch[5], bins, row)
+    _slice_columns(u, v, z, n, z_low, z_high, row)
     row[21], row[22], row[23] = length, width, area * tall
     row[31], row[32] = base + z_low, base + z_high
-    if with_hull and area > 1e-6:
-        row[33] = _hull_area(u, v, u_low, length) / area
-    row[34] = math.hypot(x0 + mx, y0 + my)
+    if hull and area > 1e-6:
+        row[33] = _hull_area(u[:n], v[:n], u_low, length) / area
+    row[34] = math.hypot(mx, my)
     row[35] = math.log(n) + 2.0 * math.log(max(row[34], 1.0))
     row[_WIDTH - 1] = 1.0
 
 
-@_fast
-def _mean(a: np.ndarray) -> float:
-    total = np.float32(0.0)
-    for i in range(len(a)):
-        total += a[i]
-    return float(total / len(a))
+@kernel
+def _moments(x: np.ndarray, y: np.ndarray, z: np.ndarray, n: int) -> tuple[Any, ...]:
+    """Covariances xx, yy, zz, xy, xz, yz about 0, and the smallest and largest z."""
+    none = splat(np.float32(0.0))
+    xx, yy, zz, xy, xz, yz, low, high = none, none, none, none, none, none, none, none
+    for i in range(0, n, LANES):
+        a, b, c = load(x, i), load(y, i), load(z, i)
+        xx, yy, zz = fma(a, a, xx), fma(b, b, yy), fma(c, c, zz)
+        xy, xz, yz = fma(a, b, xy), fma(a, c, xz), fma(b, c, yz)
+        low, high = smaller(low, c), larger(high, c)
+    return (
+        total(xx) / n, total(yy) / n, total(zz) / n, total(xy) / n, total(xz) / n, total(yz) / n, least(low), most(high)
+    )  # fmt: skip
 
 
-@_fast
-def _moment(a: np.ndarray, b: np.ndarray, mean_a: float, mean_b: float) -> float:
-    total, ma, mb = np.float32(0.0), np.float32(mean_a), np.float32(mean_b)
-    for i in range(len(a)):
-        total += (a[i] - ma) * (b[i] - mb)
-    return float(total / len(a))
+@kernel
+def _turned(
+    x: np.ndarray, y: np.ndarray, n: int, cos: float, sin: float, u: np.ndarray, v: np.ndarray
+) -> tuple[float, float, float]:
+    """Places along and across the main axis; returns length, width and the smallest ``u``."""
+    c, s, none = splat(np.float32(cos)), splat(np.float32(sin)), splat(np.float32(0.0))
+    u_low, u_high, v_low, v_high = none, none, none, none
+    for i in range(0, n, LANES):
+        a, b = load(x, i), load(y, i)
+        along, across = fma(c, a, s * b), c * b - s * a
+        store(u, i, along)
+        store(v, i, across)
+        u_low, u_high = smaller(u_low, along), larger(u_high, along)
+        v_low, v_high = smaller(v_low, across), larger(v_high, across)
+    return most(u_high) - least(u_low), most(v_high) - least(v_low), least(u_low)
 
 
-@_fast
-def _rotate(x: np.ndarray, y: np.ndarray, cos: float, sin: float, u: np.ndarray, v: np.ndarray) -> None:
-    c, s = np.float32(cos), np.float32(sin)
-    for i in range(len(x)):
-        u[i] = c * x[i] + s * y[i]
-    for i in range(len(x)):
-        v[i] = c * y[i] - s * x[i]
-
-
-@_jit
+@kernel
 def _axes(cxx: float, cxy: float, cyy: float) -> tuple[float, float, float]:
     """Cosine and sine of the main axis of a 2x2 covariance, and the ratio of its eigenvalues."""
     half, root = 0.5 * (cxx + cyy), math.sqrt(0.25 * (cxx - cyy) ** 2 + cxy * cxy)
@@ -141,7 +169,7 @@ def _axes(cxx: float, cxy: float, cyy: float) -> tuple[float, float, float]:
     return math.cos(angle), math.sin(angle), (half + root) / max(half - root, 1e-6)
 
 
-@_jit
+@kernel
 def _eigen_columns(cxx: float, cyy: float, czz: float, cxy: float, cxz: float, cyz: float, row: np.ndarray) -> None:
     """Eigenvalues of the symmetric 3x3 covariance in closed form (Smith, CACM 1961), and what follows from them."""
     off = cxy * cxy + cxz * cxz + cyz * cyz
@@ -162,24 +190,17 @@ def _eigen_columns(cxx: float, cyy: float, czz: float, cxy: float, cxz: float, c
     row[25], row[26], row[27] = small / total, middle / total, large / total
 
 
-@_fast
-def _binned(z: np.ndarray, low: float, scale: float, last: int, bins: np.ndarray) -> None:
-    """bins (n,) uint8: (z - low) * scale, at most ``last``."""
-    low32, scale32, top = np.float32(low), np.float32(scale), np.int32(last)
-    for i in range(len(z)):
-        bins[i] = np.uint8(min(np.int32((z[i] - low32) * scale32), top))
-
-
-@_jit
+@kernel
 def _rank_columns(
-    z: np.ndarray, low: float, tall: float, base: float, work: np.ndarray, bins: np.ndarray, row: np.ndarray
+    z: np.ndarray, n: int, low: float, tall: float, base: float, work: np.ndarray, bins: np.ndarray, row: np.ndarray
 ) -> None:
     """Height percentiles, the rank below (no interpolation), relative to the ground."""
-    n = len(z)
-    _binned(z, low, (_BINS - 1) / tall if tall > 1e-6 else 0.0, _BINS - 1, bins)
-    start = np.zeros(_BINS + 1, np.int32)
+    lowest, per_m = splat(np.float32(low)), splat(np.float32((_BINS - 1) / tall if tall > 1e-6 else 0.0))
+    for i in range(0, n, LANES):
+        store(bins, i, smaller(whole((load(z, i) - lowest) * per_m), np.int32(_BINS - 1)))
+    start, quarter = np.zeros(_BINS + 1, np.int32), n // 4
     for i in range(n):
-        start[np.uint32(bins[i]) + np.uint32(1)] += 1
+        start[np.uint32(bins[in_turn(i, quarter)]) + np.uint32(1)] += 1
     for b in range(_BINS):
         start[b + 1] += start[b]
     slot = np.full(_BINS, -1, np.int32)  # where the next height of a bin goes, -1: holds no rank
@@ -207,19 +228,15 @@ def _rank_columns(
     row[30] = (ranks[1] - ranks[0]) / tall if tall > 1e-6 else 0.0
 
 
-@_jit
+@kernel
 def _slice_columns(
-    u: np.ndarray, v: np.ndarray, z: np.ndarray, low: float, tall: float, slices: np.ndarray, row: np.ndarray
+    u: np.ndarray, v: np.ndarray, z: np.ndarray, n: int, low: float, high: float, row: np.ndarray
 ) -> None:
     """Five equal height slices: share of points, extent along both axes, spread of the diagonals."""
-    n, high = len(z), np.float32(low + tall)
-    _binned(z, low, SLICES / tall if tall > 1e-6 else 0.0, SLICES - 1, slices)
-    for i in range(n):  # the topmost point goes into a slice of its own, which is left out, as in the article
-        slices[i] = np.uint8(SLICES) if z[i] >= high else slices[i]
+    tall = high - low
     mean = square = share_mean = share_square = 0.0
     for s in range(SLICES):
-        count, length = chosen_extent(u, slices, s)
-        _, width = chosen_extent(v, slices, s)
+        count, length, width = _slice(u, v, z, n, low, high, s)
         row[13 + s] = count / n
         if count > 2:
             row[36 + s], row[41 + s] = length, width
@@ -233,7 +250,23 @@ def _slice_columns(
     row[29] = min(row[13] / max(row[17], 1e-6), 1e3)
 
 
-@_jit
+@inline
+def _slice(u, v, z, n, low, high, s):  # type: ignore[no-untyped-def]
+    """How many points slice ``s`` has, and their extents. The topmost point is in none, as in the article."""
+    lowest, per_m = splat(low), splat(np.float32(SLICES / (high - low) if high - low > 1e-6 else 0.0))
+    top, none, number = splat(high), splat(np.float32(_LARGE_M)), splat(np.int32(0))
+    u_low, v_low, u_high, v_high = none, none, none * np.float32(-1.0), none * np.float32(-1.0)
+    for i in range(0, n, LANES):
+        height, along, across = load(z, i), load(u, i), load(v, i)
+        layer = smaller(whole((height - lowest) * per_m), np.int32(SLICES - 1))
+        here = (layer == np.int32(s)) & (height < top) & (lanes() < np.int32(n - i))
+        number += ones(here)
+        u_low, u_high = smaller(u_low, select(here, along, _LARGE_M)), larger(u_high, select(here, along, -_LARGE_M))
+        v_low, v_high = smaller(v_low, select(here, across, _LARGE_M)), larger(v_high, select(here, across, -_LARGE_M))
+    return total(number), most(u_high) - least(u_low), most(v_high) - least(v_low)
+
+
+@kernel
 def _hull_area(u: np.ndarray, v: np.ndarray, u_low: float, length: float) -> float:
     """Area of the bird's-eye convex hull, from the lowest and highest v in 64 columns along the length.
 
@@ -257,7 +290,7 @@ def _hull_area(u: np.ndarray, v: np.ndarray, u_low: float, length: float) -> flo
     return 0.5 * (_chain(low, seen, 1.0) + _chain(high, seen, -1.0) + _closing(low, high, seen))
 
 
-@_jit
+@kernel
 def _chain(side: np.ndarray, seen: np.ndarray, sign: float) -> float:
     """Twice the signed area under a monotone hull chain (Andrew 1979); sign +1 lower, -1 upper."""
     stack = np.empty(len(seen), np.int64)
@@ -282,7 +315,7 @@ def _chain(side: np.ndarray, seen: np.ndarray, sign: float) -> float:
     return total * sign
 
 
-@_jit
+@kernel
 def _closing(low: np.ndarray, high: np.ndarray, seen: np.ndarray) -> float:
     """The two edges that join the lower to the upper chain."""
     first, last = 0, len(seen) - 1

@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.feature_kernels import ALL_NAMES, geometry_features
-from services.infra_lidar.feature_neighbours import neighbour_features
+from services.infra_lidar.feature_kernels import ALL_NAMES, cluster_features
 from services.infra_lidar.feature_pieces import hull_point_ratio, piece_features
 
 _BOX = (
@@ -79,13 +78,13 @@ def compute_features(
     ground = np.ascontiguousarray(ground_z_m, np.float32)
     _check(points, offsets, ground, names)
     planar = np.ascontiguousarray(points.T, np.float32)
-    table = geometry_features(planar, offsets, ground, "hull_fill" in names)
     with_pieces = any(name in names for name in _PIECE_NAMES)
-    if with_pieces or "nn_dist_std" in names:
-        table[:, _INDEX["nn_dist_std"]], spacing_m = neighbour_features(planar, offsets, with_pieces)
-        if with_pieces:
-            first = _INDEX[_PIECE_NAMES[0]]
-            table[:, first : first + 2] = piece_features(np.ascontiguousarray(planar.T), offsets, spacing_m)
+    table, spacing_m = cluster_features(
+        planar, offsets, ground, "hull_fill" in names, with_pieces or "nn_dist_std" in names, with_pieces
+    )
+    if with_pieces:
+        first = _INDEX[_PIECE_NAMES[0]]
+        table[:, first : first + 2] = piece_features(np.ascontiguousarray(planar.T), offsets, spacing_m)
     if "hull_point_ratio" in names:
         table[:, _INDEX["hull_point_ratio"]] = hull_point_ratio(points, offsets)
     return table[:, [_INDEX[name] for name in names]]

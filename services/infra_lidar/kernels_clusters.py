@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.extremes import LARGEST, SMALLEST, low_high, ordered, unordered
+from services.infra_lidar.extremes import low_high
 from services.infra_lidar.jit import kernel, sum_kernel
+from services.infra_lidar.vectors import LANES, fma, larger, least, load, most, smaller, splat, total
 
 
 @kernel
@@ -71,30 +72,37 @@ def _arrange(label, number, begin, points, source, there, there_source):  # type
             j += np.uint64(1)
 
 
-@sum_kernel
+@kernel
 def _moments(x, y):  # type: ignore[no-untyped-def]
     """Sums of x, y, x x, x y, y y about the first point."""
-    x0, y0 = x[0], y[0]
-    sx = sy = sxx = sxy = syy = np.float32(0.0)
-    for i in range(len(x)):
-        dx, dy = x[i] - x0, y[i] - y0
-        sx += dx
-        sy += dy
-        sxx += dx * dx
-        sxy += dx * dy
-        syy += dy * dy
-    return sx, sy, sxx, sxy, syy
+    n, x0, y0, none = len(x), x[0], y[0], splat(np.float32(0.0))
+    sx, sy, sxx, sxy, syy, rest = none, none, none, none, none, n - n % LANES
+    for i in range(0, rest, LANES):
+        dx, dy = load(x, i) - x0, load(y, i) - y0
+        sx, sy = sx + dx, sy + dy
+        sxx, sxy, syy = fma(dx, dx, sxx), fma(dx, dy, sxy), fma(dy, dy, syy)
+    mx, my, mxx, mxy, myy = total(sx), total(sy), total(sxx), total(sxy), total(syy)
+    for i in range(rest, n):
+        ax, ay = x[i] - x0, y[i] - y0
+        mx, my, mxx, mxy, myy = mx + ax, my + ay, mxx + ax * ax, mxy + ax * ay, myy + ay * ay
+    return mx, my, mxx, mxy, myy
 
 
 @kernel
-def _extent_along(x, y, x0, y0, c, s):  # type: ignore[no-untyped-def]
-    """Smallest and largest c (x - x0) + s (y - y0)."""
-    low, high = LARGEST, SMALLEST
-    for i in range(len(x)):
-        low = np.int32(min(low, ordered(c * (x[i] - x0) + s * (y[i] - y0))))
-    for i in range(len(x)):
-        high = np.int32(max(high, ordered(c * (x[i] - x0) + s * (y[i] - y0))))
-    return unordered(low), unordered(high)
+def _extents_along(x, y, c, s):  # type: ignore[no-untyped-def]
+    """Smallest and largest place along (c, s) and across it, about the first point."""
+    n, x0, y0, none = len(x), x[0], y[0], splat(np.float32(0.0))
+    u_low, u_high, v_low, v_high, rest = none, none, none, none, n - n % LANES
+    for i in range(0, rest, LANES):
+        dx, dy = load(x, i) - x0, load(y, i) - y0
+        u, v = fma(dx, c, dy * s), fma(dy, c, dx * -s)
+        u_low, u_high, v_low, v_high = smaller(u_low, u), larger(u_high, u), smaller(v_low, v), larger(v_high, v)
+    u0, u1, v0, v1 = least(u_low), most(u_high), least(v_low), most(v_high)
+    for i in range(rest, n):
+        bx, by = x[i] - x0, y[i] - y0
+        along, across = c * bx + s * by, c * by - s * bx
+        u0, u1, v0, v1 = min(u0, along), max(u1, along), min(v0, across), max(v1, across)
+    return u0, u1, v0, v1
 
 
 @kernel
@@ -118,8 +126,7 @@ def measure(points, offsets, box):  # type: ignore[no-untyped-def]
         cxx, cxy, cyy = sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my
         yaw = 0.5 * np.arctan2(2.0 * cxy, cxx - cyy)
         c, s = np.float32(np.cos(yaw)), np.float32(np.sin(yaw))
-        u0, u1 = _extent_along(bx, by, bx[0], by[0], c, s)
-        v0, v1 = _extent_along(bx, by, bx[0], by[0], -s, c)
+        u0, u1, v0, v1 = _extents_along(bx, by, c, s)
         w0, w1 = low_high(z[first:last])
         a0, _ = low_high(above[first:last])
         u, v = (u0 + u1) * np.float32(0.5), (v0 + v1) * np.float32(0.5)

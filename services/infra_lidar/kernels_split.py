@@ -10,13 +10,14 @@ import math
 
 import numpy as np
 
-from services.infra_lidar.extremes import LARGEST, SMALLEST, low_high, ordered, smallest_but, unordered
+from services.infra_lidar.extremes import low_high, smallest_but
 from services.infra_lidar.jit import kernel, sum_kernel
+from services.infra_lidar.vectors import LANES, larger, least, load, most, select, smaller, splat
 
 BINS = 29  # along the main axis, between 30 edges
 GAP_SHARE = 0.2  # a bin with less than this share of the mean is a gap
 TRIM_ABOVE_ROAD_M, TRIM_MIN_HEIGHT_M, TRIM_SHARE = 0.25, 0.5, 0.05
-SMALLEST_M = np.float32(-1e9)
+FAR_M = np.float32(1e9)
 
 
 @kernel
@@ -35,7 +36,7 @@ def second_look(points, offsets, box, good, trim, split, engulf, scratch, label)
         mine[:] = k if good[k] else -1
         if not good[k]:
             continue
-        foot_m = _foot_m(z, box[k]) if trim else SMALLEST_M
+        foot_m = _foot_m(z, box[k]) if trim else -FAR_M
         count[k] = _label_above(z, foot_m, mine)
         for axis in range(3):
             extent[axis, k], extent[3 + axis, k] = _extent_above(points[axis, first:last], z, foot_m)
@@ -52,7 +53,7 @@ def _foot_m(z, box):  # type: ignore[no-untyped-def]
     """Up to where the lowest twentieth of a cluster that stands on the road reaches: that is road. As in the article,
     the road is that of the calibration, z = 0."""
     if box[2] - 0.5 * box[5] >= TRIM_ABOVE_ROAD_M or box[5] <= TRIM_MIN_HEIGHT_M:
-        return SMALLEST_M
+        return -FAR_M
     return smallest_but(z, int(TRIM_SHARE * len(z)))
 
 
@@ -70,12 +71,16 @@ def _label_above(z, limit, label):  # type: ignore[no-untyped-def]
 @kernel
 def _extent_above(values, z, limit):  # type: ignore[no-untyped-def]
     """Smallest and largest of the values (n,) float32 of the points higher than ``limit``."""
-    low, high = LARGEST, SMALLEST
-    for i in range(len(z)):
-        low = np.int32(min(low, ordered(values[i]) if z[i] > limit else LARGEST))
-    for i in range(len(z)):
-        high = np.int32(max(high, ordered(values[i]) if z[i] > limit else SMALLEST))
-    return unordered(low), unordered(high)
+    n, none = len(z), splat(FAR_M)
+    lowest, highest, rest = none, none * np.float32(-1.0), n - n % LANES
+    for i in range(0, rest, LANES):
+        counts, x = load(z, i) > limit, load(values, i)
+        lowest, highest = smaller(lowest, select(counts, x, FAR_M)), larger(highest, select(counts, x, -FAR_M))
+    low, high = least(lowest), most(highest)
+    for i in range(rest, n):
+        if z[i] > limit:
+            low, high = min(low, values[i]), max(high, values[i])
+    return low, high
 
 
 @kernel
