@@ -21,8 +21,8 @@ MAX_RINGS = 128
 
 @dataclass(frozen=True)
 class BackgroundModel:
-    """What is kept on disk: the known ranges (cells,) uint64 as ``kernels_background.pack`` makes them, the grid and
-    how much it explains.
+    """What is kept on disk: the known ranges (cells, 2) int32 as ``kernels_background.pack`` makes them, the grid
+    and how much it explains.
 
     surface: (cells of the polar grid, 3) float32, the road at the time. structure: (2, side, side) bool, see
     ``structure.py``; empty until it is drawn.
@@ -100,13 +100,15 @@ class Background:
         if self._low is None:
             self._begin(stamp_ns, points)
         tolerance, slope = np.float32(config.tolerance_m), np.float32(config.tolerance_slope)
+        cell, take = self._buffers.take("bg_cell", len(points), np.int32), self._buffers.take
+        squared = take("bg_squared", len(points), np.float32)
+        kernels.locate(points, self._columns, self._rows, cell, squared)
         kernels.learn(
-            points, self._columns, self._rows, tolerance, slope, self._low, self._high, self._count,
-            self._newest, self._switches,
+            cell, squared, tolerance, slope, self._low, self._high, self._count, self._newest, self._switches
         )  # fmt: skip
         self._frames += 1
         if self._frames >= config.min_frames and stamp_ns - self._first_ns >= config.learn_s * 1e9:
-            self.model = self._settle(points, ground, road_user, surface)
+            self.model = self._settle(points, cell, ground, road_user, surface)
             self._low = None
 
     def _begin(self, stamp_ns: int, points: np.ndarray) -> None:
@@ -121,7 +123,7 @@ class Background:
         self._switches = np.zeros(cells, np.uint16)
 
     def _settle(
-        self, points: np.ndarray, ground: np.ndarray, road_user: np.ndarray, surface: np.ndarray
+        self, points: np.ndarray, cell: np.ndarray, ground: np.ndarray, road_user: np.ndarray, surface: np.ndarray
     ) -> BackgroundModel:
         config, cells = self._config, self._columns * self._rows
         bounds = np.empty((cells, 4), np.float32)
@@ -129,31 +131,27 @@ class Background:
             self._low, self._high, self._count, self._switches, self._frames, self._columns, self._rows,
             config.min_share, np.float32(config.tolerance_m), np.float32(config.tolerance_slope), bounds,
         )  # fmt: skip
-        road, users = np.zeros(cells, np.uint8), np.zeros(cells, np.uint8)
-        kernels.mark_cells(points, self._columns, self._rows, ground, 1, road)
-        kernels.mark_cells(points, self._columns, self._rows, road_user, 1, users)
+        road, users, there = np.zeros(cells, bool), np.zeros(cells, bool), cell >= 0
+        road[cell[ground & there]] = True
+        users[cell[road_user & there]] = True
         bounds[_widened(users.reshape(self._columns, self._rows)).ravel()] = (1.0, 0.0, 1.0, 0.0)
-        ranges = np.empty(cells, np.uint64)
+        ranges = np.empty((cells, 2), np.int32)
         kernels.pack(bounds, road, ranges)
         model = BackgroundModel(ranges, self._columns, self._rows, 1.0, surface.copy())
         return replace(model, known_share=float(self._part(points, model, 0.0).known.mean()))
 
     def _part(self, points: np.ndarray, model: BackgroundModel, near_m: float) -> Sifted:
         points = np.ascontiguousarray(points, np.float32)
-        n, take, block = len(points), self._buffers.take, kernels.BLOCK
+        n, take = len(points), self._buffers.take
         room = n + -n % LINE_FLOATS
         known, ground = take("bg_known", n, np.bool_), take("bg_ground", n, np.bool_)
         source, fresh = take("bg_source", n, np.int32), take("bg_fresh", 3 * room, np.float32).reshape(3, room)
         m, returns, near = kernels.sift(
-            points, model.columns, model.rows, model.ranges, np.float32(near_m),
-            take("block", 5 * block, np.float32).reshape(5, block), take("block_cell", block, np.uint32),
-            take("block_word", block, np.uint64), take("keep", block, np.uint8), take("pick", block + 8, np.int32),
-            known, ground, source, fresh,
+            points, model.columns, model.rows, model.ranges, np.float32(near_m), known, ground, source, fresh
         )  # fmt: skip
         return Sifted(fresh, source[:m], known, ground, returns, near)
 
 
 def _widened(users: np.ndarray) -> np.ndarray:
     """Cells of road users and their neighbours in azimuth: the edge of a parked car must not become background."""
-    flags = users.astype(bool)
-    return np.asarray(flags | np.roll(flags, 1, axis=0) | np.roll(flags, -1, axis=0))
+    return np.asarray(users | np.roll(users, 1, axis=0) | np.roll(users, -1, axis=0))

@@ -25,10 +25,10 @@ class Buffers:
         self._arrays: dict[str, np.ndarray] = {}
 
     def take(self, name: str, length: int, dtype: Any) -> np.ndarray:
-        """An uninitialised (length,) array of ``dtype``."""
+        """An uninitialised (length,) array of ``dtype``; behind its end there is room for one more vector."""
         array = self._arrays.get(name)
-        if array is None or len(array) < length or array.dtype != dtype:
-            array = aligned(length + length // 32, dtype)
+        if array is None or len(array) < length + LINE_FLOATS or array.dtype != dtype:
+            array = aligned(length + length // 32 + LINE_FLOATS, dtype)
             self._arrays[name] = array
         return array[:length]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from services.infra_lidar.jit import kernel
 from services.infra_lidar.ordering import sort_rising
-from services.infra_lidar.vectors import LANES, larger, least, load, most, smaller
+from services.infra_lidar.vectors import LANES, lane_max, lane_min, larger, load, smaller
 
 
 @kernel
@@ -25,7 +25,7 @@ def low_high(values):  # type: ignore[no-untyped-def]
     for i in range(0, n - LANES, LANES):
         x = load(values, i)
         lowest, highest = smaller(lowest, x), larger(highest, x)
-    return least(lowest), most(highest)
+    return lane_min(lowest), lane_max(highest)
 
 
 @kernel

@@ -20,7 +20,20 @@ from services.infra_lidar.feature_neighbours import in_turn, room_for, spacing
 from services.infra_lidar.jit import inline, kernel
 from services.infra_lidar.ordering import sort_rising
 from services.infra_lidar.vectors import (
-    LANES, fma, lanes, larger, least, load, most, ones, select, smaller, splat, store, total, whole,
+    LANES,
+    fma,
+    lane_max,
+    lane_min,
+    lane_sum,
+    lanes,
+    larger,
+    load,
+    ones,
+    select,
+    smaller,
+    splat,
+    store,
+    whole,
 )  # fmt: skip
 
 SLICES = 5
@@ -57,9 +70,7 @@ def cluster_features(
     size = (largest // LANES + 2) * LANES
     scratch, work = aligned(6 * size, np.float32).reshape(6, size), aligned(6 * room, np.float32).reshape(6, room)
     start, bins = np.empty(cells, np.int32), aligned(size, np.uint8)
-    _all_clusters(
-        planar, offsets, ground_z_m, scratch, bins, work, start, hull, neighbours, nearest, table, nearest_m
-    )
+    _all_clusters(planar, offsets, ground_z_m, scratch, bins, work, start, hull, neighbours, nearest, table, nearest_m)
     return table, nearest_m
 
 
@@ -88,7 +99,7 @@ def _centred(values: np.ndarray, out: np.ndarray) -> float:
         x = load(values, i) - origin
         store(out, i, x)
         added += x
-    mean = total(added)
+    mean = lane_sum(added)
     store(out, rest, splat(np.float32(0.0)))
     for i in range(rest, n):
         out[i] = values[i] - origin
@@ -140,7 +151,8 @@ def _moments(x: np.ndarray, y: np.ndarray, z: np.ndarray, n: int) -> tuple[Any, 
         xy, xz, yz = fma(a, b, xy), fma(a, c, xz), fma(b, c, yz)
         low, high = smaller(low, c), larger(high, c)
     return (
-        total(xx) / n, total(yy) / n, total(zz) / n, total(xy) / n, total(xz) / n, total(yz) / n, least(low), most(high)
+        lane_sum(xx) / n, lane_sum(yy) / n, lane_sum(zz) / n, lane_sum(xy) / n, lane_sum(xz) / n, lane_sum(yz) / n,
+        lane_min(low), lane_max(high),
     )  # fmt: skip
 
 
@@ -158,7 +170,7 @@ def _turned(
         store(v, i, across)
         u_low, u_high = smaller(u_low, along), larger(u_high, along)
         v_low, v_high = smaller(v_low, across), larger(v_high, across)
-    return most(u_high) - least(u_low), most(v_high) - least(v_low), least(u_low)
+    return lane_max(u_high) - lane_min(u_low), lane_max(v_high) - lane_min(v_low), lane_min(u_low)
 
 
 @kernel
@@ -263,7 +275,7 @@ def _slice(u, v, z, n, low, high, s):  # type: ignore[no-untyped-def]
         number += ones(here)
         u_low, u_high = smaller(u_low, select(here, along, _LARGE_M)), larger(u_high, select(here, along, -_LARGE_M))
         v_low, v_high = smaller(v_low, select(here, across, _LARGE_M)), larger(v_high, select(here, across, -_LARGE_M))
-    return total(number), most(u_high) - least(u_low), most(v_high) - least(v_low)
+    return lane_sum(number), lane_max(u_high) - lane_min(u_low), lane_max(v_high) - lane_min(v_low)
 
 
 @kernel

@@ -17,7 +17,21 @@ import numpy as np
 from services.infra_lidar.extremes import low_high
 from services.infra_lidar.jit import inline, kernel
 from services.infra_lidar.vectors import (
-    LANES, bits, fma, lanes, larger, load, most, root, select, smaller, splat, store, total, unbits, whole,
+    LANES,
+    bits,
+    fma,
+    lane_max,
+    lane_sum,
+    lanes,
+    larger,
+    load,
+    root,
+    select,
+    smaller,
+    splat,
+    store,
+    unbits,
+    whole,
 )  # fmt: skip
 
 NEIGHBOURS = 5
@@ -172,10 +186,10 @@ def _search_all(placed, start, grid, n, mean, nearest):  # type: ignore[no-untyp
                 ring, complete = 0, False
                 while not complete:
                     ring += 1
-                    s0, s1, s2, s3, s4, s5 = _nearest(
+                    s1, s2, s3, s4, s5 = _nearest(
                         a, b, c, start, layer, row, left, right, ring, layers, rows, columns, x, y, z
                     )
-                    farthest_m2 = most(select(used, unbits(s5), none))
+                    farthest_m2 = lane_max(select(used, unbits(s5), none))
                     complete = farthest_m2 <= np.float32((0.999 * ring * cell_m) ** 2) or (
                         left <= ring and right + ring >= columns - 2
                         and max(layer, layers - 1 - layer) <= ring and max(row, rows - 1 - row) <= ring
@@ -192,8 +206,8 @@ def _search_all(placed, start, grid, n, mean, nearest):  # type: ignore[no-untyp
 
 @inline
 def _nearest(a, b, c, start, layer, row, left, right, ring, layers, rows, columns, x, y, z):  # type: ignore[no-untyped-def]
-    """Squared distances of the points x, y, z to the nearest six, themselves first, as bits, among those in the cells
-    ``left`` to ``right`` of their row and ``ring`` cells around."""
+    """Squared distances of the points x, y, z to the nearest five others, as bits, among those in the cells ``left`` to
+    ``right`` of their row and ``ring`` cells around."""
     far = bits(splat(_FAR_M2))
     s0, s1, s2, s3, s4, s5 = far, far, far, far, far, far
     low, high = max(left - ring, 0), min(right + ring, columns - 2) + 1
@@ -204,7 +218,7 @@ def _nearest(a, b, c, start, layer, row, left, right, ring, layers, rows, column
         ):  # fmt: skip
             for j in range(np.uint32(start[at + low]), np.uint32(start[at + high]), np.uint32(_STEP)):
                 s0, s1, s2, s3, s4, s5 = _offer(a, b, c, j, x, y, z, s0, s1, s2, s3, s4, s5)
-    return s0, s1, s2, s3, s4, s5
+    return s1, s2, s3, s4, s5
 
 
 @inline
@@ -245,9 +259,9 @@ def _deviation(values, n):  # type: ignore[no-untyped-def]
     added = splat(np.float32(0.0))
     for i in range(0, n, LANES):
         added += load(values, i)
-    centre, added = total(added) / n, splat(np.float32(0.0))
+    centre, added = lane_sum(added) / n, splat(np.float32(0.0))
     values[n : n + LANES] = np.float32(centre)
     for i in range(0, n, LANES):
         off = load(values, i) - np.float32(centre)
         added = fma(off, off, added)
-    return math.sqrt(total(added) / n)
+    return math.sqrt(lane_sum(added) / n)

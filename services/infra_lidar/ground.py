@@ -56,8 +56,9 @@ class Ground:
         cells = self.rings * self.sectors
         lowest = max(config.height_min_m, -config.limit_max_m - END_BIN_M)  # farther off nothing passes for road
         highest = min(config.height_max_m, config.limit_max_m + END_BIN_M)
-        self._lowest_m = np.float32(lowest)
-        self._histogram = np.zeros((cells + 1, int(np.ceil((highest - lowest) / kernels.BIN_M)) + 1), np.uint16)
+        self._first_place = np.float32(kernels.bin_place(lowest))
+        bins = int(np.ceil(kernels.bin_place(highest) - self._first_place)) + 1
+        self._histogram = np.zeros((cells + 1, bins), np.uint16)
         self._count = np.zeros(cells, np.int32)
         self.height_m = np.full(cells, np.nan, np.float32)
         self.surface = np.zeros((cells, 3), np.float32)
@@ -66,9 +67,8 @@ class Ground:
     def remove(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
         """Level (N, 3+) float32 sensor-frame points, find the road in them, and label it."""
         config, frame = self._config, self._level(points, T_level_sensor)
-        kernels.height_histograms(frame.cell, frame.z, self._lowest_m, self._histogram, self._count)
         kernels.cell_heights(
-            self._histogram, self._count, self._lowest_m, config.percentile, config.min_points, self.height_m
+            self._histogram[:-1], self._first_place, config.percentile, config.min_points, self._count, self.height_m
         )
         self._fit_surface()
         return self._label(frame)
@@ -84,7 +84,7 @@ class Ground:
     def look(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
         """Level a sample of a frame, and note in which directions there is something; what is road is not asked."""
         frame = self._level(points, T_level_sensor)
-        self._count[:] = np.bincount(frame.cell[frame.cell >= 0], minlength=len(self._count))
+        self._count[:] = self._histogram[:-1].sum(axis=1)
         return frame
 
     @property
@@ -105,10 +105,11 @@ class Ground:
 
     def _level(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
         frame, points = self._room(len(points)), np.ascontiguousarray(points, np.float32)
-        T, limits, ring_m, sectors, scratch = self._leveller(T_level_sensor)
+        T, limits, ring_m, sectors = self._leveller(T_level_sensor)
         returns, near = kernels.level(
-            points, T, self._near_m, limits, ring_m, sectors, scratch, frame.x, frame.y, frame.z, frame.cell
-        )
+            points, T, self._near_m, limits, ring_m, sectors, self._first_place, self._histogram, frame.x, frame.y,
+            frame.z, frame.cell,
+        )  # fmt: skip
         return replace(frame, returns=returns, near=near)
 
     def _room(self, n: int) -> Levelled:
@@ -121,20 +122,17 @@ class Ground:
             rest=take("rest", n, np.int32), points=take("rest_points", 4 * room, np.float32).reshape(4, room),
         )  # fmt: skip
 
-    def _leveller(self, T_level_sensor: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.float32, int, np.ndarray]:
-        """Transform, limits, cells and scratch of the levelling kernels."""
+    def _leveller(self, T_level_sensor: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.float32, int]:
+        """Transform, limits and cells of the levelling kernels."""
         config = self._config
         limits = np.array([config.range_max_m, config.height_min_m, config.height_max_m], np.float32)
-        scratch = self.buffers.take("block", 6 * kernels.BLOCK, np.float32).reshape(6, kernels.BLOCK)
-        return T_level_sensor.astype(np.float32), limits, np.float32(config.ring_m), self.sectors, scratch
+        return T_level_sensor.astype(np.float32), limits, np.float32(config.ring_m), self.sectors
 
     def _label(self, frame: Levelled) -> Levelled:
-        config, take = self._config, self.buffers.take
+        config = self._config
         m = kernels.label_ground(
             frame.x, frame.y, frame.z, frame.cell, self.surface, np.float32(config.below_m),
-            np.float32(config.above_m), config.keep_below, take("block", kernels.BLOCK, np.float32),
-            take("keep", kernels.BLOCK, np.uint8), take("pick", kernels.BLOCK + 8, np.int32), frame.ground,
-            frame.points, frame.rest,
+            np.float32(config.above_m), config.keep_below, frame.ground, frame.points, frame.rest,
         )  # fmt: skip
         return replace(frame, rest=frame.rest[:m])
 

@@ -5,60 +5,74 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, kernel
-from services.infra_lidar.kernels_ground import count_returns
-from services.infra_lidar.kernels_rows import copy_picked, pick_flagged, planar, shift_picked
+from services.infra_lidar.kernels_returns import BLOCK, PI, angle, columns_of, whole_block
+from services.infra_lidar.vectors import (
+    LANES,
+    bits,
+    fma,
+    gather_pairs,
+    lane_count,
+    lane_sum,
+    lanes,
+    larger,
+    ones,
+    root,
+    select,
+    smaller,
+    splat,
+    store,
+    store_chosen,
+    whole,
+)  # fmt: skip
 
-BLOCK = 1024
 MODES = 3
 FLICKER_SHARE = 0.2  # two ranges that take turns this often are both background; a queue takes turns far less often
 ROWS_WITHOUT_RINGS, ROWS_PER_RAD = 256, np.float32(256.0)  # 0.22 degrees, for clouds without a ring column
-NO_RETURN_M2 = np.float32(0.25)
-LEAST_BITS, LAST_STEP = np.int32(NO_RETURN_M2.view(np.int32)), 32767
-PI, HALF_PI = np.float32(np.pi), np.float32(np.pi / 2)
+NO_RETURN_M2, FAR_M2 = np.float32(0.25), np.float32(1e8)
+LEAST_BITS, LAST_STEP = np.int32(NO_RETURN_M2.view(np.int32)), np.int32(32767)
+STEP_BITS = 15  # two steps, and a flag, fit into a word
+ROAD = np.int32(1 << 30)
 
 
 @inline
-def _angle(y, x):  # type: ignore[no-untyped-def]
-    """As in ``kernels_ground``: kept here because the cache on disk does not notice changes in other modules."""
-    ax, ay = abs(x), abs(y)
-    high, low = max(ax, ay), min(ax, ay)
-    a = low / max(high, np.float32(1e-20))
-    s = a * a
-    p = np.float32(-0.0117212) * s + np.float32(0.05265332)
-    p = p * s - np.float32(0.11643287)
-    p = p * s + np.float32(0.19354346)
-    p = p * s - np.float32(0.33262347)
-    p = (p * s + np.float32(0.99997726)) * a
-    p = HALF_PI - p if ay > ax else p
-    p = PI - p if x < np.float32(0.0) else p
-    return -p if y < np.float32(0.0) else p
-
-
-@inline
-def _row(points, i, rows, squared):  # type: ignore[no-untyped-def]
-    """Ring of a point, or its elevation in steps where the cloud has no rings."""
-    if points.shape[1] > 4:
-        return min(max(np.int32(points[i, 4]), 0), rows - 1)
-    sine = points[i, 2] / np.sqrt(max(squared, NO_RETURN_M2))
-    return min(max(np.int32(sine * ROWS_PER_RAD) + rows // 2, 0), rows - 1)
+def _cell(x, y, z, ring, has_ring, squared, columns, rows):  # type: ignore[no-untyped-def]
+    """Cell of returns in (azimuth, ring), or in (azimuth, elevation) where the cloud has no rings."""
+    column = smaller(whole((angle(y, x) + PI) * np.float32(columns / (2.0 * np.pi))), np.int32(columns - 1))
+    row = whole(ring)
+    if not has_ring:
+        row = whole(z / root(larger(squared, NO_RETURN_M2)) * ROWS_PER_RAD) + np.int32(rows // 2)
+    return larger(column, 0) * np.int32(rows) + smaller(larger(row, 0), np.int32(rows - 1))
 
 
 @kernel
-def learn(points, columns, rows, tolerance, slope, low, high, count, newest, switches):  # type: ignore[no-untyped-def]
-    """Add a frame to the ranges seen per cell. low, high (cells, MODES) float32 m and count (cells, MODES) uint16.
+def locate(points, columns, rows, cell, squared):  # type: ignore[no-untyped-def]
+    """cell (N,) int32, -1 = no return, and squared (N,) float32 distance of points (N, 3+) float32; both have room for
+    a vector more."""
+    n, width = points.shape
+    flat = points.reshape(points.size)
+    for start in range(0, n, BLOCK):
+        source, begin = whole_block(flat, width, start, n)
+        for i in range(0, min(BLOCK, n - start), LANES):
+            x, y, z, ring = columns_of(source, begin + i * width, width)
+            s = fma(x, x, fma(y, y, z * z))
+            there = (s > NO_RETURN_M2) & (s < FAR_M2)
+            store(cell, start + i, select(there, _cell(x, y, z, ring, width > 4, s, columns, rows), np.int32(-1)))
+            store(squared, start + i, s)
+
+
+@kernel
+def learn(cell, squared, tolerance, slope, low, high, count, newest, switches):  # type: ignore[no-untyped-def]
+    """Add a frame, as ``locate`` says it, to the ranges seen per cell. low, high (cells, MODES) float32 m and count
+    (cells, MODES) uint16.
 
     A range within tolerance + slope * range of a mode widens it; otherwise it takes the rarest mode's place.
     newest (cells,) uint8 is the mode last seen, switches (cells,) uint16 counts how often that changed.
     """
-    per_column = np.float32(columns / (2.0 * np.pi))
-    for i in range(points.shape[0]):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        squared = x * x + y * y + z * z
-        if not squared > NO_RETURN_M2:
+    for i in range(cell.shape[0]):
+        c = cell[i]
+        if c < 0:
             continue
-        column = min(np.int32((_angle(y, x) + PI) * per_column), columns - 1)
-        c = column * rows + _row(points, i, rows, squared)
-        r = np.sqrt(squared)
+        r = np.sqrt(squared[i])
         margin = tolerance + slope * r
         rarest, taken = 0, -1
         for m in range(MODES):
@@ -136,104 +150,62 @@ def _set(bounds, c, at, near, far, tolerance, slope):  # type: ignore[no-untyped
 
 
 @kernel
-def mark_cells(points, columns, rows, chosen, value, table):  # type: ignore[no-untyped-def]
-    """table[cell of point i] = value for the chosen points. chosen (N,) bool, table (cells,) uint8."""
-    per_column = np.float32(columns / (2.0 * np.pi))
-    for i in range(points.shape[0]):
-        if chosen[i]:
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            column = min(np.int32((_angle(y, x) + PI) * per_column), columns - 1)
-            table[column * rows + _row(points, i, rows, x * x + y * y + z * z)] = value
+def pack(bounds, road, packed):  # type: ignore[no-untyped-def]
+    """packed (cells, 2) int32 of bounds (cells, 4) float32, two squared intervals, and road (cells,) bool, the
+    background there is road: a word for each interval, so that one look-up of eight bytes tells all about a return."""
+    for c in range(packed.shape[0]):
+        for k in range(2):
+            first, last = _step(bounds[c, 2 * k]), _step(bounds[c, 2 * k + 1])
+            if bounds[c, 2 * k] > bounds[c, 2 * k + 1]:
+                first, last = np.int32(1), np.int32(0)  # nothing lies between one and nought
+            packed[c, k] = first | (last << np.int32(STEP_BITS))
+        packed[c, 0] |= ROAD if road[c] else np.int32(0)
 
 
-@inline
+@kernel
 def _step(squared):  # type: ignore[no-untyped-def]
     """A squared range as one of 32768 steps, each 0.05 % of the range: exponent and ten bits of the float, which are in
     the order of the numbers. What is no number is the last step."""
-    bits = np.int32(np.float32(squared).view(np.int32))
-    return min(max((bits - LEAST_BITS) >> np.int32(13), np.int32(0)), np.int32(LAST_STEP))
+    step = (np.int32(np.float32(squared).view(np.int32)) - LEAST_BITS) >> np.int32(13)
+    return np.int32(min(max(step, 0), LAST_STEP))
+
+
+@inline
+def _between(step, word):  # type: ignore[no-untyped-def]
+    return (step >= (word & LAST_STEP)) & (step <= ((word >> STEP_BITS) & LAST_STEP))
 
 
 @kernel
-def pack(bounds, road, packed):  # type: ignore[no-untyped-def]
-    """packed (cells,) uint64 of bounds (cells, 4) float32, two squared intervals, and road (cells,) uint8, 1 = the
-    background there is road: one look-up of eight bytes per return instead of five."""
-    for c in range(packed.shape[0]):
-        word = np.uint64(road[c]) << np.uint64(60)
-        for k in range(4):
-            step = np.uint64(_step(bounds[c, k]))
-            if bounds[c, k - k % 2] > bounds[c, k - k % 2 + 1]:
-                step = np.uint64(1 - k % 2)  # nothing lies between one and nought
-            word |= step << np.uint64(15 * k)
-        packed[c] = word
-
-
-@kernel
-def sift(points, columns, rows, packed, near_m, scratch, cell, word, keep, pick, known, ground, source, fresh):  # type: ignore[no-untyped-def]
+def sift(points, columns, rows, packed, near_m, known, ground, source, fresh):  # type: ignore[no-untyped-def]
     """Part returns that were always there from the rest.
 
-    points (N, C) float32 sensor frame; packed (cells,) uint64. Writes known and ground (N,) bool, and of the M others
-    the index to source (N,) and x, y, z to fresh (3, N or more). Returns (M, returns, returns nearer than near_m).
-    scratch (5, BLOCK) float32, cell (BLOCK,) uint32, word (BLOCK,) uint64, keep (BLOCK,) uint8 and pick (BLOCK + 8,)
-    int32 are overwritten.
+    points (N, C) float32 sensor frame; packed (cells, 2) int32. Writes known and ground (N,) bool, and of the M others
+    the index to source (N,) and x, y, z to fresh (3, N or more); outputs have room for a vector more. Returns (M,
+    returns, returns nearer than near_m).
     """
-    n, words, sensor = points.shape[0], keep.view(np.uint64), scratch[:4]
-    m, returns, near, near2 = 0, 0, 0, near_m * near_m
+    n, width = points.shape
+    flat, near_m2, m = points.reshape(points.size), near_m * near_m, 0
+    returns, near = splat(np.int32(0)), splat(np.int32(0))
+    fresh_x, fresh_y, fresh_z = fresh[0], fresh[1], fresh[2]
     for start in range(0, n, BLOCK):
-        stop = min(start + BLOCK, n)
-        size = stop - start
-        planar(points, start, size, sensor)
-        x, y, z, squared, at = sensor[0, :size], sensor[1, :size], sensor[2, :size], scratch[4, :size], cell[:size]
-        _cells(x, y, z, sensor[3, :size], points.shape[1] > 4, columns, rows, squared, at)
-        block_returns, block_near = count_returns(squared, near2)
-        returns += block_returns
-        near += block_near
-        keep[size:] = 0
-        _recognise(squared, at, packed, word, known[start:stop], ground[start:stop], keep)
-        picked = pick[: pick_flagged(keep, words, size, pick)]
-        last = m + len(picked)
-        shift_picked(picked, start, source[m:last])
-        for k, values in enumerate((x, y, z)):
-            copy_picked(values, picked, fresh[k, m:last])
-        m = last
-    return m, returns, near
-
-
-@kernel
-def _cells(x, y, z, ring, has_ring, columns, rows, squared, cell):  # type: ignore[no-untyped-def]
-    """Squared distance and cell of the points of a block."""
-    per_column, last, many = np.float32(columns / (2.0 * np.pi)), np.int32(columns - 1), np.int32(rows)
-    for i in range(len(x)):
-        squared[i] = x[i] * x[i] + y[i] * y[i] + z[i] * z[i]
-    for i in range(len(x)):
-        column = min(np.int32((_angle(y[i], x[i]) + PI) * per_column), last)
-        cell[i] = np.uint32(max(column, np.int32(0)) * many)
-    if has_ring:
-        for i in range(len(x)):
-            cell[i] += np.uint32(min(max(np.int32(ring[i]), np.int32(0)), many - np.int32(1)))
-    else:
-        for i in range(len(x)):
-            step = np.int32(z[i] / np.sqrt(max(squared[i], NO_RETURN_M2)) * ROWS_PER_RAD) + many // np.int32(2)
-            cell[i] += np.uint32(min(max(step, np.int32(0)), many - np.int32(1)))
-
-
-@kernel
-def _recognise(squared, cell, packed, word, known, ground, keep):  # type: ignore[no-untyped-def]
-    """known: the range lies in one of the two intervals of its cell, or nothing came back; ground: of the road; keep:
-    not known. ``cell`` becomes the step of the range."""
-    n, mask = len(squared), np.uint64(LAST_STEP)
-    for i in range(n):
-        word[i] = packed[cell[i]]
-    for i in range(n):
-        cell[i] = np.uint32(_step(squared[i]))
-    for i in range(n):
-        step = np.uint64(cell[i])
-        first = (step >= (word[i] & mask)) & (step <= ((word[i] >> np.uint64(15)) & mask))
-        second = (step >= ((word[i] >> np.uint64(30)) & mask)) & (step <= ((word[i] >> np.uint64(45)) & mask))
-        keep[i] = np.uint8(first | second) | np.uint8(((word[i] >> np.uint64(60)) & np.uint64(1)) << np.uint64(1))
-    for i in range(n):
-        ground[i] = (keep[i] == 3) & (squared[i] > NO_RETURN_M2)
-    for i in range(n):
-        known[i] = ((keep[i] & 1) == 1) | (not squared[i] > NO_RETURN_M2)
-    for i in range(n):
-        keep[i] = not known[i]
+        rows_from, begin = whole_block(flat, width, start, n)
+        for i in range(0, min(BLOCK, n - start), LANES):
+            x, y, z, ring = columns_of(rows_from, begin + i * width, width)
+            squared = fma(x, x, fma(y, y, z * z))
+            there = (squared > NO_RETURN_M2) & (squared < FAR_M2)
+            returns += ones(there)
+            near += ones(there & (squared < near_m2))
+            first, second = gather_pairs(packed, _cell(x, y, z, ring, width > 4, squared, columns, rows))
+            step = smaller(larger((bits(squared) - LEAST_BITS) >> 13, 0), LAST_STEP)
+            usual = _between(step, first) | _between(step, second)
+            unusual = there & ~usual
+            store(known, start + i, ~unusual)
+            store(ground, start + i, there & usual & ((first & ROAD) > 0))
+            found = lane_count(unusual)
+            if found > 0:
+                store_chosen(fresh_x, m, x, unusual)
+                store_chosen(fresh_y, m, y, unusual)
+                store_chosen(fresh_z, m, z, unusual)
+                store_chosen(source, m, lanes() + np.int32(start + i), unusual)
+                m += found
+    return m, lane_sum(returns), lane_sum(near)

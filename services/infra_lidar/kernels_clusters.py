@@ -10,7 +10,7 @@ import numpy as np
 
 from services.infra_lidar.extremes import low_high
 from services.infra_lidar.jit import kernel, sum_kernel
-from services.infra_lidar.vectors import LANES, fma, larger, least, load, most, smaller, splat, total
+from services.infra_lidar.vectors import LANES, fma, lane_max, lane_min, lane_sum, larger, load, smaller, splat
 
 
 @kernel
@@ -81,7 +81,7 @@ def _moments(x, y):  # type: ignore[no-untyped-def]
         dx, dy = load(x, i) - x0, load(y, i) - y0
         sx, sy = sx + dx, sy + dy
         sxx, sxy, syy = fma(dx, dx, sxx), fma(dx, dy, sxy), fma(dy, dy, syy)
-    mx, my, mxx, mxy, myy = total(sx), total(sy), total(sxx), total(sxy), total(syy)
+    mx, my, mxx, mxy, myy = lane_sum(sx), lane_sum(sy), lane_sum(sxx), lane_sum(sxy), lane_sum(syy)
     for i in range(rest, n):
         ax, ay = x[i] - x0, y[i] - y0
         mx, my, mxx, mxy, myy = mx + ax, my + ay, mxx + ax * ax, mxy + ax * ay, myy + ay * ay
@@ -97,7 +97,7 @@ def _extents_along(x, y, c, s):  # type: ignore[no-untyped-def]
         dx, dy = load(x, i) - x0, load(y, i) - y0
         u, v = fma(dx, c, dy * s), fma(dy, c, dx * -s)
         u_low, u_high, v_low, v_high = smaller(u_low, u), larger(u_high, u), smaller(v_low, v), larger(v_high, v)
-    u0, u1, v0, v1 = least(u_low), most(u_high), least(v_low), most(v_high)
+    u0, u1, v0, v1 = lane_min(u_low), lane_max(u_high), lane_min(v_low), lane_max(v_high)
     for i in range(rest, n):
         bx, by = x[i] - x0, y[i] - y0
         along, across = c * bx + s * by, c * by - s * bx

@@ -12,7 +12,7 @@ import numpy as np
 
 from services.infra_lidar.extremes import low_high, smallest_but
 from services.infra_lidar.jit import kernel, sum_kernel
-from services.infra_lidar.vectors import LANES, larger, least, load, most, select, smaller, splat
+from services.infra_lidar.vectors import LANES, lane_max, lane_min, larger, load, select, smaller, splat
 
 BINS = 29  # along the main axis, between 30 edges
 GAP_SHARE = 0.2  # a bin with less than this share of the mean is a gap
@@ -76,7 +76,7 @@ def _extent_above(values, z, limit):  # type: ignore[no-untyped-def]
     for i in range(0, rest, LANES):
         counts, x = load(z, i) > limit, load(values, i)
         lowest, highest = smaller(lowest, select(counts, x, FAR_M)), larger(highest, select(counts, x, -FAR_M))
-    low, high = least(lowest), most(highest)
+    low, high = lane_min(lowest), lane_max(highest)
     for i in range(rest, n):
         if z[i] > limit:
             low, high = min(low, values[i]), max(high, values[i])

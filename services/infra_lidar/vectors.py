@@ -6,7 +6,7 @@ for them costs time at compilation. They are generic LLVM vectors that fit any p
 
     x = load(a, i)                        # a[i : i + LANES]
     store(out, i, root(x * x + y * y))
-    least(select(x > 0.0, x, 1e9))        # smallest positive one
+    lane_min(select(x > 0.0, x, 1e9))        # smallest positive one
 
 A number beside a vector stands for as many of it. ``load`` and ``store`` convert from and to the array's type, so flags
 can be kept as bool and small integers as int16. Nothing checks bounds: arrays need room for whole vectors.
@@ -27,7 +27,8 @@ from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
-LANES = 16 if binding.get_host_cpu_features().get("avx512f") else 8  # of 32 bits; processors without split them
+_PROCESSOR = binding.get_host_cpu_features()
+LANES = 16 if _PROCESSOR.get("avx512f") else 8  # of 32 bits; processors with shorter vectors split them
 
 _WORD, _BIT = ir.IntType(32), ir.IntType(1)
 _SCALARS = {types.float32: ir.FloatType(), types.int32: _WORD, types.boolean: _BIT}
@@ -92,7 +93,7 @@ def _operator(symbol: Any, emit: dict[Vector, Callable[..., Any]], result: Vecto
 
     for kind, build in emit.items():
 
-        @lower_builtin(symbol, kind, kind)  # type: ignore[untyped-decorator]
+        @lower_builtin(symbol, *[kind] * (1 if symbol is operator.invert else 2))
         def _lower(context: Any, builder: Any, sig: Any, args: Any, build: Any = build) -> Any:
             return build(builder, *args)
 
@@ -108,6 +109,7 @@ for _plain, _in_place, _emit in (
     _operator(_plain, _emit)
     _operator(_in_place, _emit)
 _operator(operator.truediv, {FLOATS: _B.fdiv})
+_operator(operator.invert, {INTS: _B.not_, FLAGS: _B.not_})
 _operator(operator.xor, {INTS: _B.xor, FLAGS: _B.xor})
 _operator(operator.lshift, {INTS: _B.shl})
 _operator(operator.rshift, {INTS: _B.ashr})
@@ -217,8 +219,13 @@ def ones(flags: Any) -> Any:
     """1 where a flag is set, else 0."""
 
 
+@_function({FLAGS: lambda b, x: b.zext(b.ctpop(b.bitcast(x, ir.IntType(LANES))), _WORD)}, types.int32)
+def lane_count(flags: Any) -> Any:
+    """How many flags are set."""
+
+
 @_function({FLAGS: lambda b, x: b.zext(b.bitcast(x, ir.IntType(LANES)), _WORD)}, types.uint32)
-def mask(flags: Any) -> Any:
+def lane_mask(flags: Any) -> Any:
     """One bit a lane, the first lane lowest."""
 
 
@@ -251,17 +258,17 @@ def _reduction(joins: dict[Vector, Callable[..., Any]]) -> Any:
 
 
 @_reduction({FLOATS: _B.fadd, INTS: _B.add})
-def total(vector: Any) -> Any:
+def lane_sum(vector: Any) -> Any:
     """The sum of all lanes."""
 
 
 @_reduction({FLOATS: _choose("fcmp_ordered", "<"), INTS: _choose("icmp_signed", "<")})
-def least(vector: Any) -> Any:
+def lane_min(vector: Any) -> Any:
     """The smallest of all lanes."""
 
 
 @_reduction({FLOATS: _choose("fcmp_ordered", ">"), INTS: _choose("icmp_signed", ">")})
-def most(vector: Any) -> Any:
+def lane_max(vector: Any) -> Any:
     """The largest of all lanes."""
 
 
@@ -343,6 +350,60 @@ def store(typing_context: Any, array: Any, at: Any, vector: Any) -> Any:
 
 
 @intrinsic  # type: ignore[untyped-decorator]
+def store_chosen(typing_context: Any, array: Any, at: Any, vector: Any, flags: Any) -> Any:
+    """Store the lanes whose flag is set, side by side from array[at] on. What lies behind them may be overwritten, up
+    to array[at + LANES - 1]."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        place = _place(context, builder, sig, args[:2], context.get_data_type(array.dtype))
+        for has, emit in ((_PROCESSOR.get("avx512f"), _compress), (_PROCESSOR.get("avx2"), _permute)):
+            if has:
+                emit(builder, place, args[2], args[3])
+                return context.get_dummy_value()
+        _store_in_turn(builder, place, args[2], args[3])
+        return context.get_dummy_value()
+
+    return types.void(array, at, vector, FLAGS), generate
+
+
+def _compress(builder: ir.IRBuilder, place: ir.Value, vector: ir.Value, flags: ir.Value) -> None:
+    """As one instruction."""
+    suffix = "f32" if vector.type == FLOATS.llvm else "i32"
+    element = builder.bitcast(place, vector.type.element.as_pointer())
+    kind = ir.FunctionType(ir.VoidType(), [vector.type, element.type, flags.type])
+    name = f"llvm.masked.compressstore.v{LANES}{suffix}"
+    builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [vector, element, flags])
+
+
+def _permute(builder: ir.IRBuilder, place: ir.Value, vector: ir.Value, flags: ir.Value) -> None:
+    """By a table: which lanes come first, for each of 256 masks."""
+    orders = [[lane for lane in range(8) if word >> lane & 1] for word in range(256)]
+    flat = [lane for order in orders for lane in order + [0] * (8 - len(order))]
+    byte, table = ir.IntType(8), ir.ArrayType(ir.IntType(8), 256 * 8)
+    name = "spotter.chosen_lanes"
+    known = builder.module.globals.get(name)
+    if known is None:
+        known = cgutils.global_constant(builder, name, ir.Constant(table, bytearray(flat)))
+        builder.module.globals[name] = known
+    word = builder.zext(builder.bitcast(flags, byte), ir.IntType(64))
+    first = builder.gep(known, [ir.Constant(_WORD, 0), builder.mul(word, ir.Constant(word.type, 8))])
+    order = builder.zext(builder.load(builder.bitcast(first, ir.VectorType(byte, 8).as_pointer()), align=8), INTS.llvm)
+    kind = ir.FunctionType(INTS.llvm, [INTS.llvm, INTS.llvm])
+    permute = cgutils.get_or_insert_function(builder.module, kind, "llvm.x86.avx2.permd")
+    moved = builder.call(permute, [builder.bitcast(vector, INTS.llvm), order])
+    builder.store(builder.bitcast(moved, vector.type), place, align=4)
+
+
+def _store_in_turn(builder: ir.IRBuilder, place: ir.Value, vector: ir.Value, flags: ir.Value) -> None:
+    """One after the other, without branches: the next one overwrites what is not wanted."""
+    to = builder.bitcast(place, vector.type.element.as_pointer())
+    for lane in range(LANES):
+        index = ir.Constant(_WORD, lane)
+        builder.store(builder.extract_element(vector, index), to)
+        to = builder.gep(to, [builder.zext(builder.extract_element(flags, index), ir.IntType(64))])
+
+
+@intrinsic  # type: ignore[untyped-decorator]
 def gather(typing_context: Any, array: Any, at: Any) -> Any:
     """array[at[0]], array[at[1]] ... of ints that are not negative."""
     kind = _kind_of(array)
@@ -357,6 +418,27 @@ def gather(typing_context: Any, array: Any, at: Any) -> Any:
         return vector
 
     return kind(array, INTS), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def gather_pairs(typing_context: Any, array: Any, at: Any) -> Any:
+    """array[at, 0] and array[at, 1] of (N, 2) int32, two vectors: one look-up of eight bytes for both."""
+    long = ir.IntType(64)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        pairs = ir.Constant(ir.VectorType(long, LANES), ir.Undefined)
+        data = builder.bitcast(data, long.as_pointer())
+        for lane in range(LANES):
+            place = ir.Constant(_WORD, lane)
+            index = builder.zext(builder.extract_element(args[1], place), long)
+            pair = builder.load(builder.gep(data, [index]), align=4)
+            pairs = builder.insert_element(pairs, pair, place)
+        words = builder.bitcast(pairs, ir.VectorType(_WORD, 2 * LANES))
+        halves = [builder.shuffle_vector(words, words, _indices(list(range(k, 2 * LANES, 2)))) for k in (0, 1)]
+        return context.make_tuple(builder, sig.return_type, halves)
+
+    return types.UniTuple(INTS, 2)(array, INTS), generate
 
 
 @intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
