@@ -117,7 +117,7 @@ class ArticleByKernels:
     """The article's pipeline by our kernels, at the article's settings."""
 
     def __init__(self, forest: Forest) -> None:
-        buffers = Buffers()
+        self._buffers = buffers = Buffers()
         self._ground = Ground(ARTICLE_GROUND, buffers)
         self._clustering = Clustering(ARTICLE_CLUSTERING, ARTICLE_GROUND.range_max_m, buffers)
         self._forest = forest
@@ -135,7 +135,7 @@ class ArticleByKernels:
         t = self.timed.add("ground", t)
         found = self._clustering.cluster(levelled)
         t = self.timed.add("cluster", t)
-        table = compute_features(found.points, found.offsets, np.zeros(len(found), np.float32), NAMES)
+        table = compute_features(found.points, found.offsets, np.zeros(len(found), np.float32), NAMES, self._buffers)
         t = self.timed.add("features", t)
         shares = self._forest.shares(table)
         labels = shares.argmax(axis=1)

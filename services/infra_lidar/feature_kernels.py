@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from services.infra_lidar.buffers import aligned
+from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.feature_neighbours import in_turn, room_for, spacing
 from services.infra_lidar.jit import inline, kernel
 from services.infra_lidar.ordering import sort_rising
@@ -57,8 +57,9 @@ _LARGE_M = np.float32(1e9)
 
 
 def cluster_features(
-    planar: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, hull: bool, neighbours: bool, nearest: bool
-) -> tuple[np.ndarray, np.ndarray]:
+    planar: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, hull: bool, neighbours: bool, nearest: bool,
+    buffers: Buffers,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """(K, len(ALL_NAMES)) float32 of the points ``planar`` (3, M) float32, and (K,) the median distance to the nearest.
 
     The last three columns are filled elsewhere (1 for the hull ratio, else 0); ``hull_fill`` is 0 without ``hull``,
@@ -67,10 +68,13 @@ def cluster_features(
     table, nearest_m = np.zeros((len(offsets) - 1, _WIDTH), np.float32), np.zeros(len(offsets) - 1, np.float32)
     largest = int(np.diff(offsets).max(initial=1))
     room, cells = room_for(largest if neighbours else 0)
-    size = (largest // LANES + 2) * LANES
-    scratch, work = aligned(6 * size, np.float32).reshape(6, size), aligned(6 * room, np.float32).reshape(6, room)
-    start, bins = np.empty(cells, np.int32), aligned(size, np.uint8)
-    _all_clusters(planar, offsets, ground_z_m, scratch, bins, work, start, hull, neighbours, nearest, table, nearest_m)
+    size, take = (largest // LANES + 2) * LANES, buffers.take
+    scratch, work = take("cluster", 6 * size, np.float32).reshape(6, size), take("work", 6 * room, np.float32)
+    start, bins = take("start", cells, np.int32), take("bins", size, np.uint8)
+    _all_clusters(
+        planar, offsets, ground_z_m, scratch, bins, work.reshape(6, room), start, hull, neighbours, nearest, table,
+        nearest_m,
+    )  # fmt: skip
     return table, nearest_m
 
 

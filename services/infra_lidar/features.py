@@ -11,8 +11,11 @@ Every feature is finite for every cluster, a single point included: what cannot 
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
+from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.feature_kernels import ALL_NAMES, cluster_features
 from services.infra_lidar.feature_pieces import hull_point_ratio, piece_features
 
@@ -57,8 +60,9 @@ _PIECE_NAMES = ("n_components", "largest_component_ratio")
 
 
 def compute_features(
-    points: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, names: tuple[str, ...]
-) -> np.ndarray:
+    points: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, names: tuple[str, ...],
+    buffers: Buffers | None = None,
+) -> np.ndarray:  # fmt: skip
     """The features ``names`` of K clusters.
 
     Args:
@@ -67,6 +71,7 @@ def compute_features(
         offsets: (K + 1,) int64, cluster k is ``points[offsets[k]:offsets[k + 1]]``.
         ground_z_m: (K,) height of the local ground under each cluster, metres, in the frame of ``points``.
         names: which features, in which order (see ``FEATURE_SETS``).
+        buffers: those of the sensor, so that nothing is allocated for each frame.
 
     Returns:
         (K, F) float32, finite.
@@ -76,29 +81,37 @@ def compute_features(
     """
     offsets = np.ascontiguousarray(offsets, np.int64)
     ground = np.ascontiguousarray(ground_z_m, np.float32)
-    _check(points, offsets, ground, names)
+    _check(points, offsets, ground)
+    columns = _columns(names)
     planar = np.ascontiguousarray(points.T, np.float32)
     with_pieces = any(name in names for name in _PIECE_NAMES)
     table, spacing_m = cluster_features(
-        planar, offsets, ground, "hull_fill" in names, with_pieces or "nn_dist_std" in names, with_pieces
-    )
+        planar, offsets, ground, "hull_fill" in names, with_pieces or "nn_dist_std" in names, with_pieces,
+        buffers or Buffers(),
+    )  # fmt: skip
     if with_pieces:
         first = _INDEX[_PIECE_NAMES[0]]
         table[:, first : first + 2] = piece_features(np.ascontiguousarray(planar.T), offsets, spacing_m)
     if "hull_point_ratio" in names:
         table[:, _INDEX["hull_point_ratio"]] = hull_point_ratio(points, offsets)
-    return table[:, [_INDEX[name] for name in names]]
+    return table[:, columns]
 
 
-def _check(points: np.ndarray, offsets: np.ndarray, ground: np.ndarray, names: tuple[str, ...]) -> None:
+@lru_cache(maxsize=32)
+def _columns(names: tuple[str, ...]) -> np.ndarray:
+    """Raises ``ValueError`` on an unknown name."""
+    unknown = sorted(set(names) - _INDEX.keys())
+    if unknown:
+        raise ValueError(f"unknown feature(s) {unknown}; known: {', '.join(ALL_NAMES)}")
+    return np.array([_INDEX[name] for name in names])
+
+
+def _check(points: np.ndarray, offsets: np.ndarray, ground: np.ndarray) -> None:
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"points: expected shape (M, 3), got {points.shape}")
     if offsets.ndim != 1 or len(offsets) != len(ground) + 1:
         raise ValueError(f"offsets: expected {len(ground) + 1} values for {len(ground)} clusters, got {offsets.shape}")
     if len(offsets) and (offsets[0] != 0 or offsets[-1] != len(points)):
         raise ValueError(f"offsets: expected 0 .. {len(points)}, got {offsets[0]} .. {offsets[-1]}")
-    if np.any(np.diff(offsets) < 1):
+    if len(offsets) > 1 and np.diff(offsets).min() < 1:
         raise ValueError("offsets: every cluster needs at least one point")
-    unknown = sorted(set(names) - _INDEX.keys())
-    if unknown:
-        raise ValueError(f"unknown feature(s) {unknown}; known: {', '.join(ALL_NAMES)}")

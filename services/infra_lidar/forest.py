@@ -139,8 +139,13 @@ def _walk(
 ) -> None:  # fmt: skip
     trees, rows, classes = len(root), len(x), value.shape[1]
     node, mask = np.empty(_LANES, np.uint32), np.uint32((1 << _COLUMN_BITS) - 1)
+    here = np.empty((x.shape[1], _LANES), np.float32)
     for start in range(0, rows, _LANES):
         lanes = min(_LANES, rows - start)
+        for lane in range(lanes):
+            for column in range(x.shape[1]):
+                number = x[start + lane, column]
+                here[column, lane] = number if number == number else np.float32(0.0)
         for t in range(trees):
             node[:] = root[t]
             for _ in range(depth[t]):
@@ -148,7 +153,7 @@ def _walk(
                 for lane in range(lanes):
                     at = node[lane]
                     word = np.uint32(nodes[at, 0])
-                    right = x[start + lane, word & mask] > thresholds[at, 1]
+                    right = here[word & mask, lane] > thresholds[at, 1]
                     node[lane] = (word >> np.uint32(_COLUMN_BITS)) + np.uint32(right)
                     moved |= node[lane] ^ at
                 if moved == 0:  # all of them have arrived

@@ -37,7 +37,7 @@ class InfraLidarPipeline:
         background: BackgroundModel | None = None,
     ) -> None:
         self.config = config
-        buffers = Buffers()
+        self._buffers = buffers = Buffers()
         self.calibration = CalibrationKeeper(config.calibration, calibration)
         self.scene = Scene(config, self.calibration, buffers, background)
         self.clustering = Clustering(config.clustering, config.ground.range_max_m, buffers)
@@ -110,7 +110,8 @@ class InfraLidarPipeline:
 
     def _classify(self, parted: Parted, found: ClusterPoints) -> ClusterSet:
         road_z_m = self.scene.ground.road_height(found.box[:, 0], found.box[:, 1])
-        features = compute_features(found.points, found.offsets, road_z_m, self.classifier.feature_names)
+        names = self.classifier.feature_names
+        features = compute_features(found.points, found.offsets, road_z_m, names, self._buffers)
         index, confidence, probabilities = self.classifier.classify(features)
         index[self.scene.structural(parted, found, road_z_m)] = BACKGROUND
         return ClusterSet(

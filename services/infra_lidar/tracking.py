@@ -15,17 +15,17 @@ import numpy as np
 
 from common.messages import ObjectLabel, ObjectTrack, check_shape
 from services.infra_lidar.classes import CLASSES, LABELS
-from services.infra_lidar.tracking_assign import allowed_pairs, associate
+from services.infra_lidar.tracking_assign import associate
 from services.infra_lidar.tracking_config import TrackingConfig
-from services.infra_lidar.tracking_filter import DETECTION, TRACK, TRAIL, parameters, predict
-from services.infra_lidar.tracking_life import begin_frame, found, judge_lives, messages
-from services.infra_lidar.tracking_overlap import absorb_doubles, founders
-from services.infra_lidar.tracking_shape import judge_movement, update_pairs
+from services.infra_lidar.tracking_filter import DETECTION, TRACK, TRAIL, parameters
+from services.infra_lidar.tracking_life import messages
 from services.infra_lidar.tracking_split import cut_groups
+from services.infra_lidar.tracking_step import advance, candidates, conclude, describe, keep
 
 assert set(LABELS) == set(get_args(ObjectLabel))
 
 _LABEL_INDEX: dict[str, int] = {label: index for index, label in enumerate(LABELS)}
+_NO_POINTS, _NO_CHANCES = np.zeros(0, np.int64), np.zeros((0, len(CLASSES)))
 
 
 @dataclass(frozen=True)
@@ -51,29 +51,21 @@ class Detections:
         check_shape(self, "size_m", np.asarray(self.size_m), count, 3)
         check_shape(self, "yaw_rad", np.asarray(self.yaw_rad), count)
         check_shape(self, "confidence", np.asarray(self.confidence), count)
-        unknown = sorted(set(self.labels) - set(LABELS))
+        unknown = sorted(set(self.labels) - _LABEL_INDEX.keys())
         if unknown:
             raise ValueError(f"labels: {unknown} not among {', '.join(LABELS)}")
 
     def records(self) -> np.ndarray:
         """(K,) ``DETECTION``: what the kernels work on."""
         made = np.empty(len(self.labels), DETECTION)
-        made["position"], made["size"], made["yaw"] = self.position_m, self.size_m, self.yaw_rad
-        made["label"] = list(map(_LABEL_INDEX.__getitem__, self.labels))
-        made["confidence"] = np.minimum(np.maximum(self.confidence, 0.0), 1.0)
-        made["points"] = 0 if self.points is None else self.points
-        made["chances"] = _chances(made) if self.probabilities is None else self.probabilities
+        label = np.fromiter(map(_LABEL_INDEX.__getitem__, self.labels), np.int64, len(made))
+        points = _NO_POINTS if self.points is None else np.ascontiguousarray(self.points, np.int64)
+        chances = _NO_CHANCES if self.probabilities is None else self.probabilities
+        describe(
+            *(np.ascontiguousarray(a, np.float64) for a in (self.position_m, self.size_m, self.yaw_rad)), label,
+            np.ascontiguousarray(self.confidence, np.float64), points, np.ascontiguousarray(chances, np.float64), made,
+        )  # fmt: skip
         return made
-
-
-def _chances(made: np.ndarray) -> np.ndarray:
-    """(K, C) probabilities: the confidence on the label and the rest spread over the others; unknown is evenly so."""
-    count, known = len(CLASSES), made["label"] < len(CLASSES)
-    share = np.where(known, made["confidence"], 1.0 / count)
-    chances = np.empty((len(made), count))
-    chances[:] = ((1.0 - share) / (count - 1))[:, None]
-    chances[np.arange(len(made)), np.minimum(made["label"], count - 1)] = share
-    return chances
 
 
 class MultiObjectTracker:
@@ -86,21 +78,28 @@ class MultiObjectTracker:
     def __init__(self, config: TrackingConfig) -> None:
         self._config = config
         self._settings = parameters(config)
-        self._new_cov = _covariance_of_new(config)
-        self._tracks = np.zeros(0, TRACK)
+        self._blank = _blank(config)
+        self._room, self._count = np.zeros(64, TRACK), 0
         self._stamp_ns = 0
         self._next_id = -1
         self._ring_ns = np.zeros(TRAIL, np.int64)  # when the trail's slots were written
         self._frame = 0
         self._cut = config.split_groups and config.boxes == "visible"
-        self._source = np.zeros(0, np.int64)  # the detection of the caller that each of the last frame's came from
+        self._source: np.ndarray | None = (
+            None  # the detection of the caller that each of the last frame's came from, None = the same
+        )
         self.absorbed: dict[int, int] = {}  # tracks that were given up in the last frame, and for which
+
+    @property
+    def _tracks(self) -> np.ndarray:
+        return self._room[: self._count]
 
     @property
     def matches(self) -> dict[int, int]:
         """Track id -> index of the detection it took in the last frame; people in one cluster share it."""
         hit = self._tracks[self._tracks["detection"] >= 0]
-        return dict(zip(hit["track_id"].tolist(), self._source[hit["detection"]].tolist(), strict=True))
+        taken = hit["detection"] if self._source is None else self._source[hit["detection"]]
+        return dict(zip(hit["track_id"].tolist(), taken.tolist(), strict=True))
 
     def update(self, stamp_ns: int, detections: Detections) -> list[ObjectTrack]:
         """One frame: ``step``, then ``messages``."""
@@ -113,20 +112,19 @@ class MultiObjectTracker:
         dt_s, seen, p = self._advance(stamp_ns), detections.records(), self._settings
 
         # Cut clusters of people where their tracks are
-        seen, self._source = cut_groups(self._tracks, seen) if self._cut else (seen, np.arange(len(seen)))
+        seen, self._source = cut_groups(self._tracks, seen) if self._cut else (seen, None)
 
         # Find the cheapest assignment of detections to tracks
-        rows, columns, costs = allowed_pairs(self._tracks, seen, p)
-        rows, columns = associate(rows, columns, costs, len(self._tracks), len(seen))
+        rows, columns = associate(*candidates(self._tracks, seen, p))
 
-        # Correct the tracks that were seen, and decide which of all move
-        update_pairs(self._tracks, rows, columns, seen, dt_s, stamp_ns, p)
-        judge_movement(self._tracks, self._frame % TRAIL, self._frames_back(), p)
-
-        # Confirm, retire, then found new tracks from what is left
-        self._keep(judge_lives(self._tracks, seen, dt_s, stamp_ns, p))
-        self._found(seen, founders(self._tracks, seen, columns, p))
-        self._absorb()
+        # Correct the tracks that were seen; confirm, retire, found new ones from what is left, give up doubles
+        self._make_room(len(seen))
+        self._count, founded, given_up = conclude(
+            self._room, self._count, rows, columns, seen, dt_s, stamp_ns, self._frame % TRAIL, self._frames_back(),
+            self._next_id, self._blank, self._config.absorb, p,
+        )  # fmt: skip
+        self._next_id += founded
+        self.absorbed = dict(given_up.tolist())
 
     def messages(self) -> list[ObjectTrack]:
         """All tracks as of the last frame."""
@@ -136,8 +134,10 @@ class MultiObjectTracker:
         """Drop the tracks that stand and whose detection of the last frame, (K,) bool, will not be seen again, or that
         had none: what remains of them would look as if it moved. So would the rest of what stands, compared with how
         it was seen until now: that comparison begins anew. Tracks that are kept go on under their ids."""
-        gone = np.append(vanished[self._source], True)[self._tracks["detection"]]  # the last one is for no detection
-        self._keep(self._tracks["moving"] | (~gone & self._tracks["confirmed"]))
+        tracks = self._tracks
+        of_each = vanished if self._source is None else vanished[self._source]
+        gone = np.append(of_each, True)[tracks["detection"]]  # the last one is for no detection
+        self._count = keep(self._room, tracks["moving"] | (~gone & tracks["confirmed"]))
         standing = ~self._tracks["moving"]
         self._tracks["frames"][standing], self._tracks["run"][standing] = 0, 0
 
@@ -145,42 +145,27 @@ class MultiObjectTracker:
         if self._next_id < 0:
             self._next_id = (stamp_ns // 1_000_000_000 % 86_400) * 10_000 + self._config.first_id
         if stamp_ns <= self._stamp_ns:
-            self._tracks = self._tracks[:0]
+            self._count = 0
         dt_s = (stamp_ns - self._stamp_ns) * 1e-9
         self._stamp_ns = stamp_ns
         self._frame += 1
         self._ring_ns[self._frame % TRAIL] = stamp_ns
-        begin_frame(self._tracks, stamp_ns)
-        predict(self._tracks, dt_s, self._settings)
+        advance(self._tracks, stamp_ns, dt_s, self._settings)
         return dt_s
 
     def _frames_back(self) -> int:
         """How many of the last frames lie within ``movement_s``."""
         return int(np.count_nonzero(self._stamp_ns - self._ring_ns <= self._config.movement_s * 1e9))
 
-    def _keep(self, alive: np.ndarray) -> None:
-        if not alive.all():
-            self._tracks = self._tracks[alive]
-
-    def _absorb(self) -> None:
-        """One road user, one track."""
-        if not self._config.absorb:
-            return
-        into = absorb_doubles(self._tracks)
-        lost = np.flatnonzero(into >= 0)
-        ids = self._tracks["track_id"]
-        self.absorbed = dict(zip(ids[lost].tolist(), ids[into[lost]].tolist(), strict=True))
-        self._keep(into < 0)
-
-    def _found(self, seen: np.ndarray, which: np.ndarray) -> None:
-        if len(which):
-            slot = self._frame % TRAIL
-            new = found(seen, which, self._next_id, self._stamp_ns, slot, self._new_cov, self._settings)
-            self._next_id += len(which)
-            self._tracks = np.concatenate((self._tracks, new))
+    def _make_room(self, more: int) -> None:
+        if self._count + more > len(self._room):
+            self._room = np.concatenate((self._tracks, np.zeros(self._count + 2 * more, TRACK)))
 
 
-def _covariance_of_new(c: TrackingConfig) -> np.ndarray:
+def _blank(c: TrackingConfig) -> np.ndarray:
+    """(1,) ``TRACK``: a track of which nothing is known but how uncertain the first sight of it is."""
     plane, height = c.birth_sigma_m or c.position_sigma_m, c.birth_sigma_m or c.height_sigma_m
     sigma = [plane, plane, height, c.velocity_sigma_mps, c.velocity_sigma_mps, c.climb_sigma_mps]
-    return np.diag(np.square(sigma))
+    blank = np.zeros(1, TRACK)
+    blank["cov"] = np.diag(np.square(sigma))
+    return blank

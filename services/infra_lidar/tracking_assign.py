@@ -25,18 +25,15 @@ _ROOM = 6  # allowed pairs a track that there is room for at first
 
 
 def associate(
-    rows: np.ndarray, columns: np.ndarray, costs: np.ndarray, tracks: int, detections: int
+    sure_t: np.ndarray, sure_d: np.ndarray, contested_t: np.ndarray, contested_d: np.ndarray, costs: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs (track indices, detection indices) of least total cost among as many allowed pairs as possible.
-
-    ``rows``, ``columns``, ``costs`` (A,): the allowed pairs of ``tracks`` tracks and ``detections`` detections. Two
-    that are allowed nobody but each other need no Hungarian: it is left with the contested ones.
+    """Pairs (track indices, detection indices) of least total cost among as many allowed pairs as possible, from what
+    ``easy_pairs`` says: two that are allowed nobody but each other need no Hungarian, it is left with the contested.
     """
-    sure_t, sure_d, contested_t, contested_d, rest = _easy_pairs(rows, columns, costs, tracks, detections)
     if not len(contested_t):
         return sure_t, sure_d
-    r, c = linear_sum_assignment(rest)
-    allowed = rest[r, c] < FORBIDDEN
+    r, c = linear_sum_assignment(costs)
+    allowed = costs[r, c] < FORBIDDEN
     return (
         np.concatenate((sure_t, contested_t[r[allowed]])),
         np.concatenate((sure_d, contested_d[c[allowed]])),
@@ -44,10 +41,13 @@ def associate(
 
 
 @kernel
-def _easy_pairs(
+def easy_pairs(
     rows: np.ndarray, columns: np.ndarray, costs: np.ndarray, tracks: int, detections: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The pairs that have no alternative, then the tracks and detections that have one, and their cost matrix."""
+    """The pairs that have no alternative, then the tracks and detections that have one, and their cost matrix.
+
+    ``rows``, ``columns``, ``costs`` (A,): the allowed pairs of ``tracks`` tracks and ``detections`` detections.
+    """
     in_row, in_column = np.zeros(tracks, np.int64), np.zeros(detections, np.int64)
     for i in range(len(rows)):
         in_row[rows[i]] += 1

@@ -10,7 +10,6 @@ import numpy as np
 from common.messages import ObjectTrack
 from services.infra_lidar.classes import LABELS, UNKNOWN
 from services.infra_lidar.jit import kernel
-from services.infra_lidar.tracking_filter import TRACK
 from services.infra_lidar.tracking_shape import note_place, strength, vote
 
 _DRIFT_NS = 200_000_000  # for so long a lost track goes on with what is known of its velocity, moving or not
@@ -50,20 +49,11 @@ def judge_lives(tracks: np.ndarray, detections: np.ndarray, dt_s: float, stamp_n
     return alive
 
 
-def found(
-    detections: np.ndarray, founders: np.ndarray, first_id: int, stamp_ns: int, slot: int, cov: np.ndarray, p: Any
-) -> np.ndarray:
-    """New tracks, ``TRACK``, one for each of the detections ``founders``; ``cov`` (6, 6) is what is known of them."""
-    new = np.zeros(len(founders), TRACK)
-    new["cov"] = cov
-    _fill(new, detections, founders, first_id, stamp_ns, slot, p)
-    return new
-
-
 @kernel
-def _fill(
+def found(
     new: np.ndarray, detections: np.ndarray, founders: np.ndarray, first_id: int, stamp_ns: int, slot: int, p: Any
 ) -> None:
+    """Fill ``new`` (N,) ``TRACK``, blank ones, one for each of the detections ``founders`` (N,)."""
     for i in range(len(founders)):
         track, seen = new[i], detections[founders[i]]
         track.track_id = first_id + i

@@ -23,14 +23,15 @@ _APART_M, _PIECE_M, _MARGIN_M = 0.3, 0.2, 0.1  # between two, least of one, and 
 _MOST = 8  # people in one cluster
 
 
-def cut_groups(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Detections (``DETECTION``) with the groups cut into one piece a track, and the index each came from.
+def cut_groups(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Detections (``DETECTION``) with the groups cut into one piece a track, and the index each came from, None if the
+    same.
 
     A piece has the class chances of its track: a cluster of several says nothing about one. Nothing cut: unchanged.
     """
     source, owner, low, high = _cuts(tracks, detections)
     if not len(source):
-        return detections, np.arange(len(detections))
+        return detections, None
     pieces, length = detections[source], detections["size"][source].max(axis=1)
     lengthwise = pieces["size"][:, 0] >= pieces["size"][:, 1]
     heading = pieces["yaw"] + np.where(lengthwise, 0.0, 0.5 * np.pi)

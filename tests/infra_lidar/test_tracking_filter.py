@@ -10,7 +10,7 @@ from hypothesis import settings as how
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from services.infra_lidar.tracking_assign import FORBIDDEN, allowed_pairs, associate
+from services.infra_lidar.tracking_assign import FORBIDDEN, allowed_pairs, associate, easy_pairs
 from services.infra_lidar.tracking_config import TrackingConfig
 from services.infra_lidar.tracking_filter import DETECTION, TRACK, correct, edge_shift, innovation, parameters, predict
 
@@ -136,7 +136,7 @@ def test_pair_costs_equal_the_formula_written_out() -> None:
 
 def assigned(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows, columns = np.nonzero(cost < FORBIDDEN)
-    return associate(rows, columns, cost[rows, columns], *cost.shape)
+    return associate(*easy_pairs(rows, columns, cost[rows, columns], *cost.shape))
 
 
 def test_more_pairs_than_there_was_room_for() -> None:

@@ -1,0 +1,100 @@
+"""A frame of the tracker in three compiled calls, around the Hungarian: what takes microseconds is called once.
+
+Tracks lie together at the head of an array of ``TRACK`` with room for more; those that are given up are closed up, and
+new ones are written behind the last.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from services.infra_lidar.classes import CLASSES
+from services.infra_lidar.jit import kernel
+from services.infra_lidar.tracking_assign import allowed_pairs, easy_pairs
+from services.infra_lidar.tracking_filter import predict
+from services.infra_lidar.tracking_life import begin_frame, found, judge_lives
+from services.infra_lidar.tracking_overlap import absorb_doubles, founders
+from services.infra_lidar.tracking_shape import judge_movement, update_pairs
+
+_CLASS_COUNT = len(CLASSES)
+
+
+@kernel
+def describe(
+    position: np.ndarray, size: np.ndarray, yaw: np.ndarray, label: np.ndarray, confidence: np.ndarray,
+    points: np.ndarray, chances: np.ndarray, made: np.ndarray,
+) -> None:  # fmt: skip
+    """Fill ``made`` (K,) ``DETECTION``. points (K,) or none; chances (K, C) over ``CLASSES`` or none: then they follow
+    from label and confidence, the rest spread over the other classes; unknown is evenly so."""
+    for d in range(len(made)):
+        one = made[d]
+        for i in range(3):
+            one.position[i], one.size[i] = position[d, i], size[d, i]
+        one.yaw, one.label, one.confidence = yaw[d], label[d], min(max(confidence[d], 0.0), 1.0)
+        one.points = points[d] if len(points) else 0
+        known = label[d] < _CLASS_COUNT
+        share = one.confidence if known else 1.0 / _CLASS_COUNT
+        for c in range(_CLASS_COUNT):
+            if len(chances):
+                one.chances[c] = chances[d, c]
+            else:
+                one.chances[c] = share if known and c == label[d] else (1.0 - share) / (_CLASS_COUNT - 1)
+
+
+@kernel
+def advance(tracks: np.ndarray, stamp_ns: int, dt_s: float, p: Any) -> None:
+    """Bring every track to the time of this frame."""
+    begin_frame(tracks, stamp_ns)
+    predict(tracks, dt_s, p)
+
+
+@kernel
+def candidates(tracks: np.ndarray, seen: np.ndarray, p: Any) -> tuple[np.ndarray, ...]:
+    """Pairs of track and detection without an alternative, and the contested tracks and detections with their costs."""
+    rows, columns, costs = allowed_pairs(tracks, seen, p)
+    return easy_pairs(rows, columns, costs, len(tracks), len(seen))
+
+
+@kernel
+def conclude(
+    room: np.ndarray, count: int, rows: np.ndarray, columns: np.ndarray, seen: np.ndarray, dt_s: float, stamp_ns: int,
+    slot: int, back: int, first_id: int, blank: np.ndarray, absorb: bool, p: Any,
+) -> tuple[int, int, np.ndarray]:  # fmt: skip
+    """Correct the tracks that were seen, decide which of all move, retire, found, and give up doubles.
+
+    room: the tracks, ``count`` of them, and room for as many more as there are detections. slot: of the trail, ``back``
+    frames of which are looked at. blank (1,) ``TRACK``: a new track. Returns the number of tracks, how many of them are
+    new, and the ids (L, 2) of the doubles that were given up and of the tracks for which.
+    """
+    update_pairs(room[:count], rows, columns, seen, dt_s, stamp_ns, p)
+    judge_movement(room[:count], slot, back, p)
+    count = keep(room, judge_lives(room[:count], seen, dt_s, stamp_ns, p))
+    new = founders(room[:count], seen, columns, p)
+    for i in range(len(new)):
+        room[count + i] = blank[0]
+    found(room[count : count + len(new)], seen, new, first_id, stamp_ns, slot, p)
+    count += len(new)
+    given_up = np.empty((count if absorb else 0, 2), np.int64)
+    number = 0
+    if absorb:
+        into = absorb_doubles(room[:count])
+        for t in range(count):
+            if into[t] >= 0:
+                given_up[number, 0], given_up[number, 1] = room[t].track_id, room[into[t]].track_id
+                number += 1
+        count = keep(room, into < 0)
+    return count, len(new), given_up[:number]
+
+
+@kernel
+def keep(room: np.ndarray, alive: np.ndarray) -> int:
+    """Close up the tracks at the head of ``room`` that are ``alive`` (N,) bool; returns how many they are."""
+    kept = 0
+    for t in range(len(alive)):
+        if alive[t]:
+            if kept < t:
+                room[kept] = room[t]
+            kept += 1
+    return kept
