@@ -97,7 +97,7 @@ class Clustering:
     def cluster(self, frame: Levelled) -> ClusterPoints:
         """Group the points of a frame that are not ground."""
         # Components of cells that are occupied as low as a body; what is higher joins tall ones, or is on its own
-        config, points = self._config, frame.points
+        config, points = self._config, np.ascontiguousarray(frame.points)
         label, components = self._components(points, len(frame.rest), self._body_m, "label")
         if config.body_height_m > 0:
             components = self._label_high(points, label, components)

@@ -58,6 +58,7 @@ class Ground:
         highest = min(config.height_max_m, config.limit_max_m + END_BIN_M)
         self._first_place = np.float32(kernels.bin_place(lowest))
         bins = int(np.ceil(kernels.bin_place(highest) - self._first_place)) + 1
+        bins += -bins % kernels.CHUNK
         self._histogram = np.zeros((cells + 1, bins), np.uint16)
         self._count = np.zeros(cells, np.int32)
         self.height_m = np.full(cells, np.nan, np.float32)

@@ -4,9 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import kernel
+from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.vectors import (
+    LANES,
+    floor,
+    fma,
+    gather,
+    larger,
+    load,
+    real,
+    root,
+    smaller,
+    splat,
+    store,
+    whole,
+)
 
-BLOCK = 1024
 STEPS = 1024  # of the table of scales
 
 
@@ -17,33 +30,33 @@ def grid_cells(x, y, cell_m, growth_m, side, row, column):  # type: ignore[no-un
     growth_m > 0: radii are compressed by f(r) = g / c * ln(1 + r / g), so that a cell measures c near the sensor and
     c (1 + r / g) along the ray at range r. growth_m = 0: plain squares of cell_m.
     """
-    half, last = np.int32(side // 2), np.int32(side - 1)
     table, per_m = _scale_table(cell_m, growth_m, side)
-    scale = np.full(BLOCK, np.float32(1.0) / cell_m, np.float32)
-    for start in range(0, x.shape[0], BLOCK):
-        stop = min(start + BLOCK, x.shape[0])
-        here = scale[: stop - start]
-        if growth_m > 0:
-            _scales(x[start:stop], y[start:stop], table, per_m, here)
-        _cells_along(x[start:stop], here, half, last, column[start:stop])
-        _cells_along(y[start:stop], here, half, last, row[start:stop])
+    n, grows = len(x), growth_m > 0
+    rest = n - n % LANES
+    for i in range(0, rest, LANES):
+        r, c = _cell(load(x, i), load(y, i), table, per_m, grows, side)
+        store(row, i, r)
+        store(column, i, c)
+    if rest < n:
+        last, cells = np.zeros((2, LANES), np.float32), np.zeros((2, LANES), np.int32)
+        last[0, : n - rest], last[1, : n - rest] = x[rest:], y[rest:]
+        r, c = _cell(load(last[0], 0), load(last[1], 0), table, per_m, grows, side)
+        store(cells[0], 0, r)
+        store(cells[1], 0, c)
+        row[rest:], column[rest:] = cells[0, : n - rest], cells[1, : n - rest]
 
 
-@kernel
-def _cells_along(values, scale, half, last, cell):  # type: ignore[no-untyped-def]
-    for i in range(values.shape[0]):
-        cell[i] = min(max(np.int32(np.floor(values[i] * scale[i])) + half, np.int32(0)), last)
-
-
-@kernel
-def _scales(x, y, table, per_m, scale):  # type: ignore[no-untyped-def]
-    """f(r) / r of each point, interpolated."""
-    top = np.float32(STEPS - 1)
-    for i in range(x.shape[0]):
-        at = min(np.sqrt(x[i] * x[i] + y[i] * y[i]) * per_m, top)
-        k = np.int32(at)
-        low = table[np.uint32(k)]
-        scale[i] = low + (at - np.float32(k)) * (table[np.uint32(k) + np.uint32(1)] - low)
+@inline
+def _cell(x, y, table, per_m, grows, side):  # type: ignore[no-untyped-def]
+    scale = splat(table[0])
+    if grows:  # f(r) / r, interpolated
+        at = smaller(root(fma(x, x, y * y)) * per_m, np.float32(STEPS - 1))
+        k = whole(at)
+        low = gather(table, k)
+        scale = fma(at - real(k), gather(table, k + 1) - low, low)
+    half, last = np.int32(side // 2), np.int32(side - 1)
+    row, column = whole(floor(y * scale)) + half, whole(floor(x * scale)) + half
+    return smaller(larger(row, 0), last), smaller(larger(column, 0), last)
 
 
 @kernel

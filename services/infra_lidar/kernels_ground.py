@@ -33,6 +33,7 @@ NO_RETURN_M2 = np.float32(0.25)  # the housing; drivers also write (0, 0, 0) whe
 FAR_M, FAR_M2 = np.float32(1e4), np.float32(1e8)
 NOT_A_NUMBER = np.float32(np.nan)
 FINE_M = 0.64  # up to so far from the calibrated road heights are counted in fine bins ...
+CHUNK = 16  # bins, the number of which is a multiple of it
 FINE_PER_M, COARSE_PER_M = 200.0, 50.0  # ... of 5 mm, farther off in bins of 2 cm
 
 
@@ -132,45 +133,43 @@ def cell_heights(histogram, first_place, share, min_points, number, height):  # 
     number (cells,) int32 is the number of points: cells are counted from their bins, since neighbours in time often
     share a cell, and adding to one counter again and again waits for memory each time.
     """
+    fours = histogram.view(np.uint64)
     for c in range(number.shape[0]):
-        row = histogram[c]
-        n = _sum(row)
+        n = _sum(fours[c], 0, fours.shape[1])
         number[c], height[c] = n, np.nan
         if n < min_points:
             continue
-        rank = max(1, int(share * n))
-        b, seen = _chunk_of(row, rank)
-        while seen + np.int64(row[b]) <= rank:
-            seen += np.int64(row[b])
-            b += 1
+        row, rank = histogram[c], max(1, int(share * n))
+        b, seen = _bin_of(row, fours[c], rank)
         # inside a bin heights are as good as evenly spread
         height[c] = _height_of(first_place + b + (rank - seen + 0.5) / row[b])
 
 
 @kernel
-def _chunk_of(row, rank):  # type: ignore[no-untyped-def]
-    """The first bin of the vector of bins that holds the rank, or the last that is no whole one, and the number before
-    it."""
-    seen, b = np.int64(0), 0
-    while b + LANES <= len(row):
-        here = np.int64(lane_sum(load(row, b)))
-        if seen + here > rank:
-            break
-        seen += here
-        b += LANES
-    return b, seen
+def _sum(fours, first, last):  # type: ignore[no-untyped-def]
+    """Sum of counts, four at a time: as long as no count overflows, neither does a fourth of them."""
+    added, low = np.uint64(0), np.uint64(0xFFFF)
+    for k in range(first, last):
+        added += fours[k]
+    parts = (added & low) + ((added >> np.uint64(16)) & low) + ((added >> np.uint64(32)) & low)
+    return np.int64(parts + (added >> np.uint64(48)))
 
 
 @kernel
-def _sum(row):  # type: ignore[no-untyped-def]
-    n = len(row)
-    added, rest = splat(np.int32(0)), n - n % LANES
-    for b in range(0, rest, LANES):
-        added += load(row, b)
-    number = np.int64(lane_sum(added))
-    for b in range(rest, n):
-        number += np.int64(row[b])
-    return number
+def _bin_of(row, fours, rank):  # type: ignore[no-untyped-def]
+    """The bin that holds the rank, and the number before it."""
+    seen, k = np.int64(0), 0
+    while True:
+        here = _sum(fours, k, k + CHUNK // 4)
+        if seen + here > rank:
+            break
+        seen += here
+        k += CHUNK // 4
+    b = 4 * k
+    while seen + np.int64(row[b]) <= rank:
+        seen += np.int64(row[b])
+        b += 1
+    return b, seen
 
 
 @kernel

@@ -11,17 +11,9 @@ import numpy as np
 
 from services.infra_lidar.jit import inline, kernel
 from services.infra_lidar.kernels_cells import grid_cells
+from services.infra_lidar.vectors import bit_count, first_bit
 
 ONE = np.uint64(1)
-
-
-@inline
-def _popcount(v):  # type: ignore[no-untyped-def]
-    """Number of set bits of a uint64 (the compiler knows this pattern)."""
-    v = v - ((v >> np.uint64(1)) & np.uint64(0x5555555555555555))
-    v = (v & np.uint64(0x3333333333333333)) + ((v >> np.uint64(2)) & np.uint64(0x3333333333333333))
-    v = (v + (v >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return np.int32((v * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
 @inline
@@ -42,26 +34,32 @@ def label_points(points, body_m, cell_m, growth_m, two_points, eight, bits, rank
     overwritten.
     """
     n, once, twice, starts = label.shape[0], bits[0], bits[1], bits[2]
-    row, column, parent, first, last = scratch[0, :n], scratch[1, :n], scratch[2], scratch[3], scratch[4]
-    grid_cells(points[0, :n], points[1, :n], cell_m, growth_m, once.shape[0], row, column)
-    occupy(row, column, points[3], body_m, once, twice)
+    row, place, parent, first, last = scratch[0, :n], scratch[1, :n], scratch[2], scratch[3], scratch[4]
+    grid_cells(points[0, :n], points[1, :n], cell_m, growth_m, once.shape[0], row, place)
+    width = np.int32(64 * once.shape[1])
+    for i in range(n):
+        place[i] += row[i] * width
+    occupy(place, points[3], body_m, once, twice)
     occupied = twice if two_points else once
     runs = find_runs(occupied, starts, rank, parent, first, last, row_start)
     join_rows(parent, first, last, row_start, eight)
     components = number_components(parent, runs)
-    point_labels(row, column, occupied, starts, rank, parent, label)
+    point_labels(place, occupied, starts, rank, parent, label)
     return components
 
 
 @kernel
-def occupy(row, column, above, body_m, once, twice):  # type: ignore[no-untyped-def]
-    """Set the bits of cells that hold one point lower than ``body_m`` or more, and of those that hold two or more."""
+def occupy(place, above, body_m, once, twice):  # type: ignore[no-untyped-def]
+    """Set the bits of cells that hold one point lower than ``body_m`` or more, and of those that hold two or more.
+
+    place (N,) int32: number of the bit among all, rows one after the other.
+    """
     once[:] = 0
     twice[:] = 0
-    ones, twos, words = once.reshape(once.size), twice.reshape(twice.size), np.uint32(once.shape[1])
-    for i in range(row.shape[0]):
-        at = np.uint32(np.uint32(row[i]) * words + (np.uint32(column[i]) >> np.uint32(6)))
-        bit = np.uint64(above[i] < body_m) << np.uint64(column[i] & 63)
+    ones, twos = once.reshape(once.size), twice.reshape(twice.size)
+    for i in range(place.shape[0]):
+        at = np.uint32(place[i]) >> np.uint32(6)
+        bit = np.uint64(above[i] < body_m) << np.uint64(place[i] & 63)
         seen = ones[at]
         twos[at] |= seen & bit  # without branches: nobody can guess which cell comes next
         ones[at] = seen | bit
@@ -81,26 +79,23 @@ def find_runs(bits, starts, rank, parent, first, last, row_start):  # type: igno
         carry = np.uint64(0)
         for w in range(words):
             word = bits[r, w]
-            rank[r, w] = runs
-            if word == 0:
-                starts[r, w] = word
+            if word == 0:  # nobody asks for starts and rank there
                 carry = word
                 continue
+            rank[r, w] = runs
             s = word & ~((word << ONE) | carry)
             starts[r, w] = s
             following = bits[r, w + 1] & ONE if w + 1 < words else np.uint64(0)
             e = word & ~((word >> ONE) | (following << np.uint64(63)))
             carry = word >> np.uint64(63)
             while s != 0:
-                low = s & (~s + ONE)
-                first[runs] = w * 64 + _popcount(low - ONE)
+                first[runs] = w * 64 + first_bit(s)
                 parent[runs] = runs
-                s ^= low
+                s &= s - ONE
                 runs += 1
             while e != 0:  # ends come in the order of the starts, some of them a word later
-                low = e & (~e + ONE)
-                last[ends] = w * 64 + _popcount(low - ONE)
-                e ^= low
+                last[ends] = w * 64 + first_bit(e)
+                e &= e - ONE
                 ends += 1
     row_start[rows] = runs
     return runs
@@ -140,15 +135,13 @@ def number_components(parent, runs):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def point_labels(row, column, bits, starts, rank, parent, label):  # type: ignore[no-untyped-def]
+def point_labels(place, bits, starts, rank, parent, label):  # type: ignore[no-untyped-def]
     """Component of each point's cell, -1 where the cell is not occupied enough."""
-    words = np.uint32(bits.shape[1])
     all_bits, all_starts, all_ranks = bits.reshape(bits.size), starts.reshape(starts.size), rank.reshape(rank.size)
-    for i in range(row.shape[0]):
-        at = np.uint32(np.uint32(row[i]) * words + (np.uint32(column[i]) >> np.uint32(6)))
-        bit = ONE << np.uint64(column[i] & 63)
-        if all_bits[at] & bit:
-            upto = all_starts[at] & ((bit - ONE) | bit)
-            label[i] = parent[np.uint32(all_ranks[at] + _popcount(upto) - 1)]
-        else:
-            label[i] = -1
+    for i in range(place.shape[0]):
+        at = np.uint32(place[i]) >> np.uint32(6)
+        bit = ONE << np.uint64(place[i] & 63)
+        occupied = (all_bits[at] & bit) != 0
+        run = all_ranks[at] + bit_count(all_starts[at] & ((bit - ONE) | bit)) - np.int32(1)
+        found = parent[np.uint32(run if occupied else np.int32(0))]  # without a branch: half of them are not, in turns
+        label[i] = found if occupied else np.int32(-1)

@@ -189,6 +189,11 @@ def root(a: Any) -> Any:
     """The square root."""
 
 
+@_function({FLOATS: _llvm("floor")})
+def floor(a: Any) -> Any:
+    """The largest whole number that is not larger."""
+
+
 @_function({FLOATS: _llvm("fabs")})
 def magnitude(a: Any) -> Any:
     """The number without its sign."""
@@ -298,6 +303,8 @@ def select(typing_context: Any, flags: Any, a: Any, b: Any) -> Any:
 
 
 def _kind_of(array: types.Array) -> Vector:
+    if array.layout != "C":
+        raise TypeError(f"a vector's numbers lie side by side, those of {array} do not")
     if array.dtype == types.boolean:
         return FLAGS
     return FLOATS if isinstance(array.dtype, types.Float) else INTS
@@ -336,6 +343,7 @@ def load(typing_context: Any, array: Any, at: Any) -> Any:
 @intrinsic  # type: ignore[untyped-decorator]
 def store(typing_context: Any, array: Any, at: Any, vector: Any) -> Any:
     """array[at : at + LANES] = vector; flags also into integers."""
+    _kind_of(array)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         element, value = context.get_data_type(array.dtype), args[2]
@@ -353,6 +361,7 @@ def store(typing_context: Any, array: Any, at: Any, vector: Any) -> Any:
 def store_chosen(typing_context: Any, array: Any, at: Any, vector: Any, flags: Any) -> Any:
     """Store the lanes whose flag is set, side by side from array[at] on. What lies behind them may be overwritten, up
     to array[at + LANES - 1]."""
+    _kind_of(array)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         place = _place(context, builder, sig, args[:2], context.get_data_type(array.dtype))
@@ -481,10 +490,20 @@ def _pick(builder: ir.IRBuilder, parts: list[ir.Value], wanted: list[int]) -> ir
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def first_bit(typing_context: Any, word: Any) -> Any:
-    """Place of the lowest set bit of a uint32 that is not 0."""
+def bit_count(typing_context: Any, word: Any) -> Any:
+    """How many bits of a uint64 are set."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.cttz(args[0], ir.Constant(_BIT, 1))
+        return builder.trunc(builder.ctpop(args[0]), _WORD)
 
-    return types.uint32(types.uint32), generate
+    return types.int32(types.uint64), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def first_bit(typing_context: Any, word: Any) -> Any:
+    """Place of the lowest set bit of a uint64 that is not 0."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.trunc(builder.cttz(args[0], ir.Constant(_BIT, 1)), _WORD)
+
+    return types.int32(types.uint64), generate

@@ -16,7 +16,8 @@ def _label(cells, connectivity):
     side, words = cells.shape[0], (cells.shape[1] + 63) // 64
     row, column = (a.astype(np.int32) for a in np.nonzero(cells))
     once, twice = np.zeros((side, words), np.uint64), np.zeros((side, words), np.uint64)
-    kernels.occupy(row, column, np.zeros(len(row), np.float32), np.float32(1.0), once, twice)
+    place = row * np.int32(64 * words) + column
+    kernels.occupy(place, np.zeros(len(row), np.float32), np.float32(1.0), once, twice)
     starts, rank = np.zeros_like(once), np.zeros((side, words), np.int32)
     parent, first, last = (np.zeros(len(row) + 1, np.int32) for _ in range(3))
     row_start = np.zeros(side + 1, np.int32)
@@ -24,7 +25,7 @@ def _label(cells, connectivity):
     kernels.join_rows(parent, first, last, row_start, int(connectivity == 8))
     components = kernels.number_components(parent, runs)
     label = np.empty(len(row), np.int32)
-    kernels.point_labels(row, column, once, starts, rank, parent, label)
+    kernels.point_labels(place, once, starts, rank, parent, label)
     return label, components, (row, column), twice
 
 
@@ -65,6 +66,6 @@ def test_corners_join_only_with_eight():
 def test_cells_with_two_points_are_told_apart():
     row, column = np.array([0, 0, 1], np.int32), np.array([70, 70, 3], np.int32)
     once, twice = np.zeros((2, 2), np.uint64), np.zeros((2, 2), np.uint64)
-    kernels.occupy(row, column, np.zeros(len(row), np.float32), np.float32(1.0), once, twice)
+    kernels.occupy(row * np.int32(128) + column, np.zeros(len(row), np.float32), np.float32(1.0), once, twice)
     assert twice[0, 1] == np.uint64(1 << 6)
     assert twice[1, 0] == 0
