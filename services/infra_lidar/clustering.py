@@ -22,6 +22,7 @@ from services.infra_lidar.ground import Levelled
 
 TALL_BAND_M = 0.4  # a component with points in the top of the body band goes on above it
 TALL_SHARE = 0.03
+_UNKNOWN = np.zeros(0, np.int32)
 MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by: they can only be adopted
 
 
@@ -98,10 +99,10 @@ class Clustering:
         """Group the points of a frame that are not ground."""
         # Components of cells that are occupied as low as a body; what is higher joins tall ones, or is on its own
         config, points = self._config, np.ascontiguousarray(frame.points)
-        label, components = self._components(points, len(frame.rest), self._body_m, "label")
+        label, across = self._components(points, len(frame.rest), self._body_m, "label")
         if config.body_height_m > 0:
-            components = self._label_high(points, label, components)
-        found = self._regroup(label, components, points, frame.rest, 0, self._fewest_points)
+            across = self._label_high(points, label, across)
+        found = self._regroup(label, across, points, frame.rest)
 
         # Pieces of vehicles, then the article's second look
         if config.merge == "fragments":
@@ -109,31 +110,34 @@ class Clustering:
         found = self._second_look(found, self._possible(found))
         return self._result(frame, found)
 
-    def _components(self, points: np.ndarray, m: int, body_m: np.float32, name: str) -> tuple[np.ndarray, int]:
-        """Component of the first ``m`` points: the cells are filled by those lower than ``body_m``."""
+    def _components(self, points: np.ndarray, m: int, body_m: np.float32, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Component of the first ``m`` points, and how many cells each is across: the cells are filled by those lower
+        than ``body_m``."""
         config, take = self._config, self._buffers.take
         label, scratch = take(name, m, np.int32), take("cells", 5 * (m + 1), np.int32).reshape(5, m + 1)
+        across = take(f"{name}_across", m, np.int32)
         components = labels.label_points(
             points, body_m, np.float32(config.cell_m), np.float32(config.cell_growth_m), config.min_cell_points > 1,
-            int(config.connectivity == 8), self._bits, self._rank, self._row_start, scratch, label,
+            int(config.connectivity == 8), self._bits, self._rank, self._row_start, scratch, label, across,
         )  # fmt: skip
-        return label, components
+        return label, across[:components]
 
-    def _label_high(self, points: np.ndarray, label: np.ndarray, components: int) -> int:
+    def _label_high(self, points: np.ndarray, label: np.ndarray, across: np.ndarray) -> np.ndarray:
         """Give high points to tall components, and label those that join nothing: a roof behind other cars, or a
-        canopy. Returns the number of components."""
-        take = self._buffers.take
+        canopy. Returns how many cells each component is across, new ones included."""
+        take, components = self._buffers.take, len(across)
         free = take("free", len(label), np.int32)
         number = clusters.join_high(
             label, points[3], components, self._body_m - np.float32(TALL_BAND_M), self._body_m, TALL_SHARE,
             take("in_band", components, np.int32), take("total", components, np.int32), free,
         )  # fmt: skip
         if number == 0:
-            return components
+            return across
         free = free[:number]
-        high, found = self._components(np.ascontiguousarray(points[:, free]), number, np.float32(np.inf), "label_high")
+        points = np.ascontiguousarray(points[:, free])
+        high, high_across = self._components(points, number, np.float32(np.inf), "label_high")
         label[free] = np.where(high >= 0, high + components, -1)
-        return components + found
+        return np.concatenate((across, high_across))
 
     @property
     def _body_m(self) -> np.float32:
@@ -145,26 +149,39 @@ class Clustering:
         """Components with fewer points are not looked at."""
         return 1 if self._config.merge == "fragments" else self._config.min_points
 
-    def _regroup(
-        self, label: np.ndarray, components: int, points: np.ndarray, source: np.ndarray, side: int, fewest: int = 1
-    ) -> _Grouped:
-        """Points by label, those of labels with ``fewest`` points or more, as copies that lie together."""
-        m, take = len(source), self._buffers.take
-        offsets, box = take(f"offsets{side}", components + 1, np.int64), np.empty((components, 8), np.float32)
-        flat, there_source = take(f"points{side}", 4 * m, np.float32), take(f"source{side}", m, np.int32)
-        count, total = clusters.regroup(
-            label, components, fewest, points, source, take("number", components, np.int32), offsets, flat,
-            there_source, box,
-        )  # fmt: skip
-        return _Grouped(
-            flat[: 4 * total].reshape(4, total), there_source[:total], offsets[: count + 1], box[:count], side
+    def _regroup(self, label: np.ndarray, across: np.ndarray, points: np.ndarray, source: np.ndarray) -> _Grouped:
+        """Points by label, those of components that may be a cluster or a part of one, as copies that lie together."""
+        config = self._config
+        widest = int(config.max_diagonal_m / config.cell_m)  # cells only grow with range
+        return self._arranged(
+            label, len(across), points, source, 0, self._fewest_points, config.max_points, across, widest
         )
 
     def _rejoin(self, found: _Grouped, group: np.ndarray) -> _Grouped:
         """Clusters with the same ``group`` (K,) become one."""
         label = self._buffers.take("label", len(found.source), np.int32)
         clusters.relabel(group, found.offsets, label)
-        return self._regroup(label, len(found.box), found.points, found.source, 1 - found.side)
+        return self._again(found, label, len(found.box))
+
+    def _again(self, found: _Grouped, label: np.ndarray, count: int) -> _Grouped:
+        """Points of clusters, grouped anew by ``count`` labels."""
+        return self._arranged(label, count, found.points, found.source, 1 - found.side, 1, len(label), _UNKNOWN, 0)
+
+    def _arranged(
+        self, label: np.ndarray, components: int, points: np.ndarray, source: np.ndarray, side: int, fewest: int,
+        most: int, across: np.ndarray, widest: int,
+    ) -> _Grouped:  # fmt: skip
+        m, take = len(source), self._buffers.take
+        offsets, box = take(f"offsets{side}", components + 1, np.int64), np.empty((components, 8), np.float32)
+        flat, there_source = take(f"points{side}", 4 * m, np.float32), take(f"source{side}", m, np.int32)
+        room = max(m, components) + 1
+        count, total = clusters.regroup(
+            label, components, fewest, most, across, widest, points, source,
+            take("runs", 2 * room, np.int32).reshape(2, room), offsets, flat, there_source, box,
+        )  # fmt: skip
+        return _Grouped(
+            flat[: 4 * total].reshape(4, total), there_source[:total], offsets[: count + 1], box[:count], side
+        )
 
     def _join_fragments(self, found: _Grouped) -> _Grouped:
         """Join fragments of vehicles, and to tall ones the single returns along a side seen at a small angle."""
@@ -190,7 +207,7 @@ class Clustering:
             )
         label, scratch = take("label", total, np.int32), take("kept", 4 * total, np.float32).reshape(4, total)
         count = splitting.second_look(found.points, found.offsets, found.box, good, trim, split, engulf, scratch, label)
-        return self._regroup(label, count, found.points, found.source, 1 - found.side)
+        return self._again(found, label, count)
 
     def _result(self, frame: Levelled, found: _Grouped) -> ClusterPoints:
         cluster_id = self._buffers.take("cluster_id", len(frame.x), np.int32)

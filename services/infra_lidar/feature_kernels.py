@@ -34,7 +34,7 @@ from services.infra_lidar.vectors import (
     splat,
     store,
     whole,
-)  # fmt: skip
+)
 
 SLICES = 5
 RANKS = (0.05, 0.10, 0.25, 0.50, 0.75, 0.95)

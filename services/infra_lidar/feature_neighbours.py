@@ -32,7 +32,7 @@ from services.infra_lidar.vectors import (
     store,
     unbits,
     whole,
-)  # fmt: skip
+)
 
 NEIGHBOURS = 5
 _PER_CELL = 5.0

@@ -23,7 +23,7 @@ from services.infra_lidar.vectors import (
     store,
     store_chosen,
     whole,
-)  # fmt: skip
+)
 
 MODES = 3
 FLICKER_SHARE = 0.2  # two ranges that take turns this often are both background; a queue takes turns far less often

@@ -9,41 +9,79 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.extremes import low_high
-from services.infra_lidar.jit import kernel, sum_kernel
-from services.infra_lidar.vectors import LANES, fma, lane_max, lane_min, lane_sum, larger, load, smaller, splat
+from services.infra_lidar.jit import inline, kernel, sum_kernel
+from services.infra_lidar.vectors import (
+    LANES,
+    first_bit,
+    fma,
+    lane_mask,
+    lane_max,
+    lane_min,
+    lane_sum,
+    larger,
+    load,
+    smaller,
+    splat,
+    store,
+)
 
 
 @kernel
-def regroup(label, components, fewest, points, source, number, offsets, flat, grouped_source, box):  # type: ignore[no-untyped-def]
+def regroup(
+    label, components, fewest, most, across, widest, points, source, scratch, offsets, flat, grouped_source, box
+):  # type: ignore[no-untyped-def]  # fmt: skip
     """Copy the points so that those of a label lie together, label by label, and measure each of these clusters.
 
-    label (M,) int32 in -1 .. components - 1; labels of fewer than ``fewest`` points are left out, as is -1. Written:
+    label (M,) int32 in -1 .. components - 1; -1 is left out, and so are labels of fewer than ``fewest`` points or more
+    than ``most``, and those that are more than ``widest`` cells ``across`` (components,), none = unknown. Written:
     offsets (K + 1,), where each cluster begins; flat, the head of which becomes a (4, T) array of points;
-    grouped_source (T,); box (K, 8), see ``measure``. number (components,) int32 is scratch. Returns (K, T).
+    grouped_source (T,); box (K, 8), see ``measure``. scratch (2, M + 1 or more) int32 is overwritten. Returns (K, T).
     """
-    clusters, total = _number_clusters(label, components, fewest, number, offsets)
+    begin, number = scratch[0], scratch[1]
+    runs = _runs(label, begin)
+    clusters, total = _number_clusters(label, begin, runs, components, fewest, most, across, widest, number, offsets)
     there = flat[: 4 * total].reshape(4, total)
-    _arrange(label, number, offsets[:clusters], points, source, there, grouped_source)
+    _arrange(label, begin, runs, number, offsets[:clusters], points, source, there, grouped_source)
     measure(there, offsets[: clusters + 1], box)
     return clusters, total
 
 
 @kernel
-def _number_clusters(label, components, fewest, number, offsets):  # type: ignore[no-untyped-def]
+def _runs(label, begin):  # type: ignore[no-untyped-def]
+    """begin (runs + 1,): where another label begins than the point before has, and the end. Returns the number of runs.
+
+    Points that come one after the other are mostly of one label.
+    """
+    n, runs = len(label), 0
+    if n > 0:
+        begin[0], runs = 0, 1
+    whole = max((n - 1) - (n - 1) % LANES, 0)
+    for i in range(0, whole, LANES):
+        word = np.uint64(lane_mask(load(label, i) != load(label, i + 1)))
+        while word != 0:
+            begin[runs] = i + 1 + first_bit(word)
+            word &= word - np.uint64(1)
+            runs += 1
+    for i in range(whole + 1, n):
+        begin[runs] = i
+        runs += label[i] != label[i - 1]
+    begin[runs] = n
+    return runs
+
+
+@kernel
+def _number_clusters(label, begin, runs, components, fewest, most, across, widest, number, offsets):  # type: ignore[no-untyped-def]
     """number (components,): the cluster that a label becomes, -1 = left out. Returns (clusters, points)."""
     number[:components] = 0
-    i, n = 0, label.shape[0]
-    while i < n:  # run by run: neighbours are mostly of one label, and its counter would be waited for every time
-        k, begin = label[i], i
-        while i < n and label[i] == k:
-            i += 1
+    for r in range(runs):
+        k = label[begin[r]]
         if k >= 0:
-            number[np.uint32(k)] += i - begin
+            number[np.uint32(k)] += begin[r + 1] - begin[r]
     clusters, total = 0, 0
     for c in range(components):
         count = number[c]
         number[c] = -1
-        if count >= fewest and count > 0:
+        if max(fewest, 1) <= count <= most and (len(across) == 0 or across[c] <= widest):
             offsets[clusters] = total
             number[c] = clusters
             clusters += 1
@@ -53,23 +91,32 @@ def _number_clusters(label, components, fewest, number, offsets):  # type: ignor
 
 
 @kernel
-def _arrange(label, number, begin, points, source, there, there_source):  # type: ignore[no-untyped-def]
+def _arrange(label, begin, runs, number, offsets, points, source, there, there_source):  # type: ignore[no-untyped-def]
     """A stable counting sort by ``number[label]``, run by run."""
-    slot, i, n = begin.copy(), 0, label.shape[0]
-    x, y, z, above = points[0], points[1], points[2], points[3]
-    to_x, to_y, to_z, to_above = there[0], there[1], there[2], there[3]
-    while i < n:
-        k, first = label[i], i
-        while i < n and label[i] == k:
-            i += 1
+    slot = offsets.copy()
+    for r in range(runs):
+        first, n = begin[r], begin[r + 1] - begin[r]
+        k = label[first]
         k = number[np.uint32(k)] if k >= 0 else np.int32(-1)
         if k < 0:
             continue
-        j = np.uint64(slot[np.uint32(k)])
-        slot[np.uint32(k)] += i - first
-        for at in range(np.uint64(first), np.uint64(i)):
-            to_x[j], to_y[j], to_z[j], to_above[j], there_source[j] = x[at], y[at], z[at], above[at], source[at]
-            j += np.uint64(1)
+        to = slot[np.uint32(k)]
+        slot[np.uint32(k)] += n
+        for row in range(4):
+            _copy(points[row], first, n, there[row], to)
+        _copy(source, first, n, there_source, to)
+
+
+@inline
+def _copy(values, first, n, out, to):  # type: ignore[no-untyped-def]
+    """out[to : to + n] = values[first : first + n]."""
+    if n < LANES:
+        for i in range(np.uint64(n)):
+            out[np.uint64(to) + i] = values[np.uint64(first) + i]
+        return
+    for i in range(0, n - LANES, LANES):
+        store(out, to + i, load(values, first + i))
+    store(out, to + n - LANES, load(values, first + n - LANES))  # once more what is left over
 
 
 @kernel

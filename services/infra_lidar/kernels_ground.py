@@ -26,7 +26,7 @@ from services.infra_lidar.vectors import (
     store,
     store_chosen,
     whole,
-)  # fmt: skip
+)
 
 CLIPPED = np.int32(-1)  # outside the range or height limits
 NO_RETURN_M2 = np.float32(0.25)  # the housing; drivers also write (0, 0, 0) where nothing came back

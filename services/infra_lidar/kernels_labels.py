@@ -25,8 +25,11 @@ def _find(parent, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def label_points(points, body_m, cell_m, growth_m, two_points, eight, bits, rank, row_start, scratch, label):  # type: ignore[no-untyped-def]
+def label_points(points, body_m, cell_m, growth_m, two_points, eight, bits, rank, row_start, scratch, label, across):  # type: ignore[no-untyped-def]
     """Component of every point, -1 = none; label (N,) int32 is written. Returns the number of components.
+
+    across (N or more,) int32 is written, too: how many cells of each component lie for certain between two of its
+    points, along the axis along which they are more.
 
     points (4, N or more) float32: x, y, z, height above the road; those lower than ``body_m`` fill the cells.
     two_points: a cell needs two to be occupied; eight: cells that touch at a corner are neighbours. bits (3, side,
@@ -44,6 +47,7 @@ def label_points(points, body_m, cell_m, growth_m, two_points, eight, bits, rank
     runs = find_runs(occupied, starts, rank, parent, first, last, row_start)
     join_rows(parent, first, last, row_start, eight)
     components = number_components(parent, runs)
+    _measure_across(parent, first, last, row_start, components, across)
     point_labels(place, occupied, starts, rank, parent, label)
     return components
 
@@ -132,6 +136,18 @@ def number_components(parent, runs):  # type: ignore[no-untyped-def]
     for i in range(runs):
         parent[i] = -1 - parent[i]
     return components
+
+
+@kernel
+def _measure_across(parent, first, last, row_start, components, across):  # type: ignore[no-untyped-def]
+    top, left, right = np.full(components, -1, np.int32), np.empty(components, np.int32), np.empty(components, np.int32)
+    for r in range(row_start.shape[0] - 1):
+        for i in range(row_start[r], row_start[r + 1]):
+            k = parent[i]
+            if top[k] < 0:
+                top[k], left[k], right[k] = r, first[i], last[i]
+            left[k], right[k] = min(left[k], first[i]), max(right[k], last[i])
+            across[k] = max(r - top[k], right[k] - left[k]) - 1
 
 
 @kernel

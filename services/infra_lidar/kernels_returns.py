@@ -8,17 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, kernel
-from services.infra_lidar.vectors import (
-    LANES,
-    every,
-    fma,
-    gather,
-    lanes,
-    larger,
-    magnitude,
-    select,
-    smaller,
-)  # fmt: skip
+from services.infra_lidar.vectors import LANES, every, fma, gather, lanes, larger, magnitude, select, smaller
 
 PI, HALF_PI = np.float32(np.pi), np.float32(np.pi / 2)
 TINY = np.float32(1e-20)

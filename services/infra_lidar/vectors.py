@@ -115,6 +115,7 @@ _operator(operator.lshift, {INTS: _B.shl})
 _operator(operator.rshift, {INTS: _B.ashr})
 for _symbol, _sign in (
     (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "=="),
+    (operator.ne, "!="),
 ):  # fmt: skip
     _operator(
         _symbol,
