@@ -16,7 +16,7 @@ from services.infra_lidar import kernels_clusters as clusters
 from services.infra_lidar import kernels_labels as labels
 from services.infra_lidar import kernels_merge as merging
 from services.infra_lidar import kernels_split as splitting
-from services.infra_lidar.buffers import Buffers
+from services.infra_lidar.buffers import LINE_FLOATS, Buffers
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.ground import Levelled
 
@@ -114,7 +114,8 @@ class Clustering:
         """Component of the first ``m`` points, and how many cells each is across: the cells are filled by those lower
         than ``body_m``."""
         config, take = self._config, self._buffers.take
-        label, scratch = take(name, m, np.int32), take("cells", 5 * (m + 1), np.int32).reshape(5, m + 1)
+        label, room = take(name, m, np.int32), m + 1 + LINE_FLOATS
+        scratch = take("cells", 6 * room, np.int32).reshape(6, room)
         across = take(f"{name}_across", m, np.int32)
         components = labels.label_points(
             points, body_m, np.float32(config.cell_m), np.float32(config.cell_growth_m), config.min_cell_points > 1,

@@ -10,20 +10,8 @@ import numpy as np
 
 from services.infra_lidar.extremes import low_high
 from services.infra_lidar.jit import inline, kernel, sum_kernel
-from services.infra_lidar.vectors import (
-    LANES,
-    first_bit,
-    fma,
-    lane_mask,
-    lane_max,
-    lane_min,
-    lane_sum,
-    larger,
-    load,
-    smaller,
-    splat,
-    store,
-)
+from services.infra_lidar.kernels_runs import find_runs
+from services.infra_lidar.vectors import LANES, fma, lane_max, lane_min, lane_sum, larger, load, smaller, splat, store
 
 
 @kernel
@@ -38,35 +26,12 @@ def regroup(
     grouped_source (T,); box (K, 8), see ``measure``. scratch (2, M + 1 or more) int32 is overwritten. Returns (K, T).
     """
     begin, number = scratch[0], scratch[1]
-    runs = _runs(label, begin)
+    runs = find_runs(label, begin)
     clusters, total = _number_clusters(label, begin, runs, components, fewest, most, across, widest, number, offsets)
     there = flat[: 4 * total].reshape(4, total)
     _arrange(label, begin, runs, number, offsets[:clusters], points, source, there, grouped_source)
     measure(there, offsets[: clusters + 1], box)
     return clusters, total
-
-
-@kernel
-def _runs(label, begin):  # type: ignore[no-untyped-def]
-    """begin (runs + 1,): where another label begins than the point before has, and the end. Returns the number of runs.
-
-    Points that come one after the other are mostly of one label.
-    """
-    n, runs = len(label), 0
-    if n > 0:
-        begin[0], runs = 0, 1
-    whole = max((n - 1) - (n - 1) % LANES, 0)
-    for i in range(0, whole, LANES):
-        word = np.uint64(lane_mask(load(label, i) != load(label, i + 1)))
-        while word != 0:
-            begin[runs] = i + 1 + first_bit(word)
-            word &= word - np.uint64(1)
-            runs += 1
-    for i in range(whole + 1, n):
-        begin[runs] = i
-        runs += label[i] != label[i - 1]
-    begin[runs] = n
-    return runs
 
 
 @kernel

@@ -11,7 +11,8 @@ import numpy as np
 
 from services.infra_lidar.jit import inline, kernel
 from services.infra_lidar.kernels_cells import grid_cells
-from services.infra_lidar.vectors import bit_count, first_bit
+from services.infra_lidar.kernels_runs import find_runs
+from services.infra_lidar.vectors import LANES, bit_count, first_bit, splat, store
 
 ONE = np.uint64(1)
 
@@ -33,44 +34,52 @@ def label_points(points, body_m, cell_m, growth_m, two_points, eight, bits, rank
 
     points (4, N or more) float32: x, y, z, height above the road; those lower than ``body_m`` fill the cells.
     two_points: a cell needs two to be occupied; eight: cells that touch at a corner are neighbours. bits (3, side,
-    words) uint64, rank (side, words) int32, row_start (side + 1,) int32 and scratch (5, N + 1 or more) int32 are
-    overwritten.
+    words) uint64, rank (side, words) int32, row_start (side + 1,) int32 and scratch (6, N + 1 or more) int32 are
+    overwritten. label and the rows of scratch have room for a vector more.
     """
     n, once, twice, starts = label.shape[0], bits[0], bits[1], bits[2]
-    row, place, parent, first, last = scratch[0, :n], scratch[1, :n], scratch[2], scratch[3], scratch[4]
-    grid_cells(points[0, :n], points[1, :n], cell_m, growth_m, once.shape[0], row, place)
-    width = np.int32(64 * once.shape[1])
+    key, begin, parent, first, last = scratch[0, :n], scratch[1], scratch[2], scratch[3], scratch[4]
+    grid_cells(points[0, :n], points[1, :n], cell_m, growth_m, once.shape[0], key, scratch[5, :n])
     for i in range(n):
-        place[i] += row[i] * width
-    occupy(place, points[3], body_m, once, twice)
+        key[i] = cell_key(key[i], scratch[5, i], once.shape[1], points[3, i] < body_m)
+    keys = find_runs(key, begin)
+    occupy(key, begin, keys, once, twice)
     occupied = twice if two_points else once
-    runs = find_runs(occupied, starts, rank, parent, first, last, row_start)
+    runs = find_rows(occupied, starts, rank, parent, first, last, row_start)
     join_rows(parent, first, last, row_start, eight)
     components = number_components(parent, runs)
     _measure_across(parent, first, last, row_start, components, across)
-    point_labels(place, occupied, starts, rank, parent, label)
+    point_labels(key, begin, keys, occupied, starts, rank, parent, label)
     return components
 
 
-@kernel
-def occupy(place, above, body_m, once, twice):  # type: ignore[no-untyped-def]
-    """Set the bits of cells that hold one point lower than ``body_m`` or more, and of those that hold two or more.
+@inline
+def cell_key(row, column, words, fills):  # type: ignore[no-untyped-def]
+    """Number of a cell's bit among all, rows of ``words`` one after the other, and whether a point fills it."""
+    return np.int32(2) * (np.int32(row) * np.int32(64 * words) + np.int32(column)) + np.int32(fills)
 
-    place (N,) int32: number of the bit among all, rows one after the other.
+
+@kernel
+def occupy(key, begin, keys, once, twice):  # type: ignore[no-untyped-def]
+    """Set the bits of cells that one point fills or more, and of those that two fill or more.
+
+    key (N,) int32 by ``cell_key``, equal ones in ``keys`` runs that begin at ``begin``.
     """
     once[:] = 0
     twice[:] = 0
     ones, twos = once.reshape(once.size), twice.reshape(twice.size)
-    for i in range(place.shape[0]):
-        at = np.uint32(place[i]) >> np.uint32(6)
-        bit = np.uint64(above[i] < body_m) << np.uint64(place[i] & 63)
+    for r in range(keys):
+        k = np.uint32(key[begin[r]])
+        at = k >> np.uint32(7)
+        bit = np.uint64(k & np.uint32(1)) << np.uint64((k >> np.uint32(1)) & np.uint32(63))
         seen = ones[at]
-        twos[at] |= seen & bit  # without branches: nobody can guess which cell comes next
+        more = bit if begin[r + 1] - begin[r] > 1 else seen & bit
+        twos[at] |= more  # without branches: nobody can guess which cell comes next
         ones[at] = seen | bit
 
 
 @kernel
-def find_runs(bits, starts, rank, parent, first, last, row_start):  # type: ignore[no-untyped-def]
+def find_rows(bits, starts, rank, parent, first, last, row_start):  # type: ignore[no-untyped-def]
     """Runs of set bits, row by row. bits (R, W) uint64.
 
     Writes per word the bits where runs start (``starts``) and the number of runs before it (``rank``), per run its
@@ -151,13 +160,16 @@ def _measure_across(parent, first, last, row_start, components, across):  # type
 
 
 @kernel
-def point_labels(place, bits, starts, rank, parent, label):  # type: ignore[no-untyped-def]
-    """Component of each point's cell, -1 where the cell is not occupied enough."""
+def point_labels(key, begin, keys, bits, starts, rank, parent, label):  # type: ignore[no-untyped-def]
+    """Component of each point's cell, -1 where the cell is not occupied enough; label has room for a vector more."""
     all_bits, all_starts, all_ranks = bits.reshape(bits.size), starts.reshape(starts.size), rank.reshape(rank.size)
-    for i in range(place.shape[0]):
-        at = np.uint32(place[i]) >> np.uint32(6)
-        bit = ONE << np.uint64(place[i] & 63)
+    for r in range(keys):
+        k = np.uint32(key[begin[r]])
+        at = k >> np.uint32(7)
+        bit = ONE << np.uint64((k >> np.uint32(1)) & np.uint32(63))
         occupied = (all_bits[at] & bit) != 0
         run = all_ranks[at] + bit_count(all_starts[at] & ((bit - ONE) | bit)) - np.int32(1)
         found = parent[np.uint32(run if occupied else np.int32(0))]  # without a branch: half of them are not, in turns
-        label[i] = found if occupied else np.int32(-1)
+        found = found if occupied else np.int32(-1)
+        for i in range(begin[r], begin[r + 1], LANES):
+            store(label, i, splat(found))  # the next run overwrites what is too much

@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from services.infra_lidar import kernels_labels as kernels
+from services.infra_lidar.kernels_runs import find_runs
+from services.infra_lidar.vectors import LANES
 
 ONES = np.ones((3, 3), int)
 
@@ -16,17 +18,18 @@ def _label(cells, connectivity):
     side, words = cells.shape[0], (cells.shape[1] + 63) // 64
     row, column = (a.astype(np.int32) for a in np.nonzero(cells))
     once, twice = np.zeros((side, words), np.uint64), np.zeros((side, words), np.uint64)
-    place = row * np.int32(64 * words) + column
-    kernels.occupy(place, np.zeros(len(row), np.float32), np.float32(1.0), once, twice)
+    key, begin = 2 * (row * np.int32(64 * words) + column) + 1, np.zeros(len(row) + 1, np.int32)
+    keys = find_runs(key, begin)
+    kernels.occupy(key, begin, keys, once, twice)
     starts, rank = np.zeros_like(once), np.zeros((side, words), np.int32)
     parent, first, last = (np.zeros(len(row) + 1, np.int32) for _ in range(3))
     row_start = np.zeros(side + 1, np.int32)
-    runs = kernels.find_runs(once, starts, rank, parent, first, last, row_start)
+    runs = kernels.find_rows(once, starts, rank, parent, first, last, row_start)
     kernels.join_rows(parent, first, last, row_start, int(connectivity == 8))
     components = kernels.number_components(parent, runs)
-    label = np.empty(len(row), np.int32)
-    kernels.point_labels(place, once, starts, rank, parent, label)
-    return label, components, (row, column), twice
+    label = np.empty(len(row) + LANES, np.int32)
+    kernels.point_labels(key, begin, keys, once, starts, rank, parent, label)
+    return label[: len(row)], components, (row, column), twice
 
 
 def _same_partition(a, b):
@@ -66,6 +69,7 @@ def test_corners_join_only_with_eight():
 def test_cells_with_two_points_are_told_apart():
     row, column = np.array([0, 0, 1], np.int32), np.array([70, 70, 3], np.int32)
     once, twice = np.zeros((2, 2), np.uint64), np.zeros((2, 2), np.uint64)
-    kernels.occupy(row * np.int32(128) + column, np.zeros(len(row), np.float32), np.float32(1.0), once, twice)
+    key, begin = 2 * (row * np.int32(128) + column) + 1, np.zeros(4, np.int32)
+    kernels.occupy(key, begin, find_runs(key, begin), once, twice)
     assert twice[0, 1] == np.uint64(1 << 6)
     assert twice[1, 0] == 0
