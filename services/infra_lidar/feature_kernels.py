@@ -64,9 +64,15 @@ def cluster_features(
 
     The last three columns are filled elsewhere (1 for the hull ratio, else 0); ``hull_fill`` is 0 without ``hull``,
     ``nn_dist_std`` without ``neighbours``, and the median without ``nearest``.
+
+    Raises:
+        ValueError: an empty cluster.
     """
     table, nearest_m = np.zeros((len(offsets) - 1, _WIDTH), np.float32), np.zeros(len(offsets) - 1, np.float32)
-    largest = int(np.diff(offsets).max(initial=1))
+    counts = offsets[1:] - offsets[:-1]
+    if counts.min(initial=1) < 1:
+        raise ValueError("offsets: every cluster needs at least one point")
+    largest = int(counts.max(initial=1))
     room, cells = room_for(largest if neighbours else 0)
     size, take = (largest // LANES + 2) * LANES, buffers.take
     scratch, work = take("cluster", 6 * size, np.float32).reshape(6, size), take("work", 6 * room, np.float32)

@@ -113,5 +113,3 @@ def _check(points: np.ndarray, offsets: np.ndarray, ground: np.ndarray) -> None:
         raise ValueError(f"offsets: expected {len(ground) + 1} values for {len(ground)} clusters, got {offsets.shape}")
     if len(offsets) and (offsets[0] != 0 or offsets[-1] != len(points)):
         raise ValueError(f"offsets: expected 0 .. {len(points)}, got {offsets[0]} .. {offsets[-1]}")
-    if len(offsets) > 1 and np.diff(offsets).min() < 1:
-        raise ValueError("offsets: every cluster needs at least one point")

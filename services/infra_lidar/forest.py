@@ -47,7 +47,7 @@ class Forest:
         """(K, F) float32 features to (K, C) float32 mean class shares of the trees (uncalibrated)."""
         if x.ndim != 2 or x.shape[1] != len(self.features):
             raise ValueError(f"features: expected shape (K, {len(self.features)}), got {x.shape}")
-        rows = np.nan_to_num(np.ascontiguousarray(x, np.float32))
+        rows = np.ascontiguousarray(x, np.float32)
         out = np.zeros((len(rows), self.value.shape[1]), np.float32)
         nodes, thresholds = self._packed
         _walk(rows, nodes, thresholds, self.leaf, self.value, self.root, self.depth, out)

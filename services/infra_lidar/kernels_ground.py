@@ -9,6 +9,7 @@ import numpy as np
 
 from services.infra_lidar.jit import inline, kernel
 from services.infra_lidar.kernels_returns import BLOCK, PI, angle, columns_of, whole_block
+from services.infra_lidar.kernels_surface import flat_surface, sloped_surface
 from services.infra_lidar.vectors import (
     LANES,
     fma,
@@ -37,6 +38,43 @@ CHUNK = 16  # bins, the number of which is a multiple of it
 FINE_PER_M, COARSE_PER_M = 200.0, 50.0  # ... of 5 mm, farther off in bins of 2 cm
 
 
+SETTINGS = np.dtype(
+    [(name, np.float32) for name in (
+        "range_max_m", "height_min_m", "height_max_m", "ring_m", "limit_base_m", "limit_slope",
+        "limit_max_m", "below_m", "above_m", "max_step", "step_up_m", "step_down_m", "first_place",
+    )]
+    + [("percentile", np.float64), ("sectors", np.int64), ("min_points", np.int64), ("keep_below", np.bool_), ("flat", np.bool_)]
+)  # fmt: skip
+
+
+@kernel
+def find_ground(
+    points, T, s, near_m, histogram, number, height, surface, accepted, x, y, z, cell, ground, others, rest
+):  # type: ignore[no-untyped-def]
+    """Level (N, 3+) float32 points, find the road in them, label it, and gather the rest: see the steps.
+
+    s: a record of ``SETTINGS``. surface (rings, sectors, 3), accepted (rings, sectors). Returns (M, returns, those of
+    them closer than near_m).
+    """
+    returns, near = level(points, T, s, near_m, histogram, x, y, z, cell)
+    cell_heights(histogram[:-1], s, number, height)
+    fit = height.reshape(accepted.shape)
+    if s.flat:
+        flat_surface(fit, s, surface, accepted)
+    else:
+        sloped_surface(fit, s, surface, accepted)
+    planes = surface.reshape(number.shape[0], 3)
+    return label_ground(x, y, z, cell, planes, s, ground, others, rest), returns, near
+
+
+@kernel
+def find_known(sensor, n, T, s, surface, x, y, z, cell, ground, others, rest):  # type: ignore[no-untyped-def]
+    """The same with a road that is known already, surface (cells, 3), for n returns that are planar already, sensor
+    (3, n or more) float32, and not counted. Returns M."""
+    level_planar(sensor, n, T, s, x, y, z, cell)
+    return label_ground(x, y, z, cell, surface, s, ground, others, rest)
+
+
 def bin_place(height_m: float) -> float:
     """Where a height lies on the scale of the bins; 0 is that of height 0."""
     near = min(max(height_m, -FINE_M), FINE_M)
@@ -51,12 +89,11 @@ def _height_of(place):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def level(points, T, near_m, limits, ring_m, sectors, first_place, histogram, x, y, z, cell):  # type: ignore[no-untyped-def]
+def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-untyped-def]
     """Rotate and shift (N, 3+) float32 sensor-frame points into planar level-frame x, y, z (N,) float32.
 
-    limits (3,) float32: largest range, lowest and highest z. cell (N,) int16 is the polar cell, ring * sectors +
-    sector, or CLIPPED. Points closer than half a metre or not finite get z = NaN and are clipped. histogram (cells + 1,
-    bins) uint16 counts heights, the first bin beginning at ``first_place``; those outside go to the end bins, and
+    cell (N,) int16 is the polar cell, ring * sectors + sector, or CLIPPED. Points closer than half a metre or not finite get z = NaN and are clipped. histogram (cells + 1,
+    bins) uint16 counts heights, the first bin beginning at ``s.first_place``; those outside go to the end bins, and
     clipped points to the last row, so that nothing has to be decided. All outputs have room for a vector more. Returns
     (returns, those of them closer than near_m).
     """
@@ -76,12 +113,12 @@ def level(points, T, near_m, limits, ring_m, sectors, first_place, histogram, x,
             near += ones(there & (squared < near_m2))
             lx, ly, lz = _turned(a, b, c, T)
             lz = select(there, lz, NOT_A_NUMBER)
-            k, inside = _polar_cell(lx, ly, lz, limits, ring_m, sectors)
+            k, inside = _polar_cell(lx, ly, lz, s)
             store(x, start + i, lx)
             store(y, start + i, ly)
             store(z, start + i, lz)
             store(cell, start + i, select(inside, k, CLIPPED))
-            bin_ = smaller(larger(whole(_bin_place(lz) - first_place), 0), np.int32(bins - 1))
+            bin_ = smaller(larger(whole(_bin_place(lz) - s.first_place), 0), np.int32(bins - 1))
             store(at, i, select(inside, k * np.int32(bins) + bin_, np.int32(cells * bins)))
         for i in range(size):
             counts[np.uint32(at[i])] += np.uint16(1)
@@ -89,12 +126,12 @@ def level(points, T, near_m, limits, ring_m, sectors, first_place, histogram, x,
 
 
 @kernel
-def level_planar(sensor, n, T, limits, ring_m, sectors, x, y, z, cell):  # type: ignore[no-untyped-def]
+def level_planar(sensor, n, T, s, x, y, z, cell):  # type: ignore[no-untyped-def]
     """The same for n returns that are planar already, sensor (3, n or more) float32, and not counted."""
     a, b, c = sensor[0], sensor[1], sensor[2]
     for i in range(0, n, LANES):
         lx, ly, lz = _turned(load(a, i), load(b, i), load(c, i), T)
-        k, inside = _polar_cell(lx, ly, lz, limits, ring_m, sectors)
+        k, inside = _polar_cell(lx, ly, lz, s)
         store(x, i, lx)
         store(y, i, ly)
         store(z, i, lz)
@@ -110,13 +147,13 @@ def _turned(a, b, c, T):  # type: ignore[no-untyped-def]
 
 
 @inline
-def _polar_cell(x, y, z, limits, ring_m, sectors):  # type: ignore[no-untyped-def]
+def _polar_cell(x, y, z, s):  # type: ignore[no-untyped-def]
     """Polar cell of points, and whether they are inside the limits; if not, the cell means nothing."""
     radius = root(fma(x, x, y * y))
-    inside = (radius <= limits[0]) & (z >= limits[1]) & (z <= limits[2])
-    sector = whole((angle(y, x) + PI) * np.float32(sectors / (2.0 * np.pi)))
-    ring = whole(radius * (np.float32(1.0) / ring_m))
-    return ring * np.int32(sectors) + smaller(sector, np.int32(sectors - 1)), inside
+    inside = (radius <= s.range_max_m) & (z >= s.height_min_m) & (z <= s.height_max_m)
+    sector = whole((angle(y, x) + PI) * np.float32(s.sectors / (2.0 * np.pi)))
+    ring = whole(radius * (np.float32(1.0) / s.ring_m))
+    return ring * np.int32(s.sectors) + smaller(sector, np.int32(s.sectors - 1)), inside
 
 
 @inline
@@ -127,8 +164,8 @@ def _bin_place(height):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def cell_heights(histogram, first_place, share, min_points, number, height):  # type: ignore[no-untyped-def]
-    """Low percentile of each cell's heights by selection, rank max(1, int(share n)); NaN where too few points.
+def cell_heights(histogram, s, number, height):  # type: ignore[no-untyped-def]
+    """Low percentile of each cell's heights by selection, rank max(1, int(percentile n)); NaN where too few points.
 
     number (cells,) int32 is the number of points: cells are counted from their bins, since neighbours in time often
     share a cell, and adding to one counter again and again waits for memory each time.
@@ -137,12 +174,12 @@ def cell_heights(histogram, first_place, share, min_points, number, height):  # 
     for c in range(number.shape[0]):
         n = _sum(fours[c], 0, fours.shape[1])
         number[c], height[c] = n, np.nan
-        if n < min_points:
+        if n < s.min_points:
             continue
-        row, rank = histogram[c], max(1, int(share * n))
+        row, rank = histogram[c], max(1, int(s.percentile * n))
         b, seen = _bin_of(row, fours[c], rank)
         # inside a bin heights are as good as evenly spread
-        height[c] = _height_of(first_place + b + (rank - seen + 0.5) / row[b])
+        height[c] = _height_of(s.first_place + b + (rank - seen + 0.5) / row[b])
 
 
 @kernel
@@ -173,19 +210,19 @@ def _bin_of(row, fours, rank):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def label_ground(x, y, z, cell, surface, below, above, keep_below, ground, points, rest):  # type: ignore[no-untyped-def]
+def label_ground(x, y, z, cell, surface, s, ground, points, rest):  # type: ignore[no-untyped-def]
     """Label ground and gather the rest.
 
     surface (cells, 3) float32: z of the road at (x, y) is s0 + s1 x + s2 y. Writes ground (N,) bool, and for the
     M other points inside the limits x, y, z and height above the road to points (4, N) float32 and their index to
-    rest; returns M. Points below the band are no obstacle (mirror images in puddles, ditches) unless ``keep_below``.
+    rest; returns M. Points below the band are no obstacle (mirror images in puddles, ditches) unless ``s.keep_below``.
     Outputs have room for a vector more, and so have x, y, z and cell.
     """
     n, m = ground.shape[0], 0
     planes, flat = _planes(surface)
     s0, s1, s2 = planes[0], planes[1], planes[2]
     to_x, to_y, to_z, to_height = points[0], points[1], points[2], points[3]
-    low, lowest = -below, -below if keep_below else -FAR_M
+    low, above, lowest = -s.below_m, s.above_m, -s.below_m if s.keep_below else -FAR_M
     for i in range(0, n, LANES):
         c = load(cell, i) + 1
         height = load(z, i) - gather(s0, c)

@@ -8,44 +8,46 @@ from services.infra_lidar.jit import kernel
 
 
 @kernel
-def flat_surface(height, ring_m, base, slope, limit, max_step, up, down, surface, accepted):  # type: ignore[no-untyped-def]
+def flat_surface(height, s, surface, accepted):  # type: ignore[no-untyped-def]
     """The article's rule: the cell's own height if it is near the calibration plane, else the plane.
 
-    height (rings, sectors) float32, NaN = unknown; surface (rings, sectors, 3) and accepted are written.
+    height (rings, sectors) float32, NaN = unknown; surface (rings, sectors, 3) and accepted are written. s: the
+    settings, as in ``kernels_ground``.
     """
     rings, sectors = height.shape
     for r in range(rings):
-        allowed = min(base + slope * (r + np.float32(0.5)) * ring_m, limit)
-        for s in range(sectors):
-            h = height[r, s]
-            accepted[r, s] = abs(h) <= allowed
-            surface[r, s, 0] = h if accepted[r, s] else np.float32(0.0)
-            surface[r, s, 1] = 0.0
-            surface[r, s, 2] = 0.0
+        allowed = min(s.limit_base_m + s.limit_slope * (r + np.float32(0.5)) * s.ring_m, s.limit_max_m)
+        for k in range(sectors):
+            h = height[r, k]
+            accepted[r, k] = abs(h) <= allowed
+            surface[r, k, 0] = h if accepted[r, k] else np.float32(0.0)
+            surface[r, k, 1] = 0.0
+            surface[r, k, 2] = 0.0
 
 
 @kernel
-def sloped_surface(height, ring_m, base, slope, limit, max_step, up, down, surface, accepted):  # type: ignore[no-untyped-def]
+def sloped_surface(height, s, surface, accepted):  # type: ignore[no-untyped-def]
     """Walk outward from the pole, accept cells that continue the road, then fit a tangent plane per cell.
 
     height (rings, sectors) float32 low percentile, NaN = unknown; surface (rings, sectors, 3) and accepted written.
-    A cell may lie ``up`` above what was expected (a kerb) or ``down`` below it: nothing lies under a road.
+    A cell may lie ``s.step_up_m`` above what was expected (a kerb) or ``s.step_down_m`` below it: nothing lies under a road.
     """
     rings, sectors = height.shape
+    ring_m, up, down = s.ring_m, s.step_up_m, s.step_down_m
     filled = np.empty((rings, sectors), np.float32)  # accepted height, or what was expected there
     trend = np.zeros((rings, sectors), np.float32)  # rise per metre along the ray
     trust = np.zeros((rings, sectors), np.float32)  # 1 measured, falling with every expected cell
     for r in range(rings):
         distance = (r + np.float32(0.5)) * ring_m
-        allowed = min(base + slope * distance, limit)
-        for s in range(sectors):
+        allowed = min(s.limit_base_m + s.limit_slope * distance, s.limit_max_m)
+        for k in range(sectors):
             expected, rise, known = np.float32(0.0), np.float32(0.0), np.float32(1.0)  # at the foot: calibrated
             level = np.float32(0.0)  # if the slope ended here
             if r > 0:
                 weights = np.float32(1e-6)
                 known *= np.float32(1e-6)
                 for ds in range(-1, 2):
-                    n = (s + ds) % sectors
+                    n = (k + ds) % sectors
                     w = trust[r - 1, n] * np.float32(2.0 if ds == 0 else 1.0) + np.float32(1e-6)
                     level += w * filled[r - 1, n]
                     rise += w * trend[r - 1, n]
@@ -53,20 +55,20 @@ def sloped_surface(height, ring_m, base, slope, limit, max_step, up, down, surfa
                     weights += w
                 level, rise, known = level / weights, rise / weights, known / weights
                 expected = level + rise * ring_m
-            h = height[r, s]
-            slack = max_step * ring_m * (np.float32(1.0) - known)
+            h = height[r, k]
+            slack = s.max_step * ring_m * (np.float32(1.0) - known)
             good = (abs(h) <= allowed) & (h <= max(expected, level) + up + slack)
             good &= h >= min(expected, level) - down - slack
-            accepted[r, s] = good
+            accepted[r, k] = good
             if good:
-                filled[r, s] = h
-                step = (h - filled[r - 1, s]) / ring_m if r > 0 else np.float32(0.0)
-                trend[r, s] = np.float32(0.5) * rise + np.float32(0.5) * step
-                trust[r, s] = 1.0
+                filled[r, k] = h
+                step = (h - filled[r - 1, k]) / ring_m if r > 0 else np.float32(0.0)
+                trend[r, k] = np.float32(0.5) * rise + np.float32(0.5) * step
+                trust[r, k] = 1.0
             else:
-                filled[r, s] = expected
-                trend[r, s] = np.float32(0.8) * rise
-                trust[r, s] = np.float32(0.8) * known
+                filled[r, k] = expected
+                trend[r, k] = np.float32(0.8) * rise
+                trust[r, k] = np.float32(0.8) * known
     _tangent_planes(filled, trust, ring_m, surface)
 
 
