@@ -19,6 +19,7 @@ from services.infra_lidar import kernels_split as splitting
 from services.infra_lidar.buffers import LINE_FLOATS, Buffers
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.ground import Levelled
+from services.infra_lidar.kernels_runs import find_runs
 
 TALL_BAND_M = 0.4  # a component with points in the top of the body band goes on above it
 TALL_SHARE = 0.03
@@ -31,7 +32,7 @@ class ClusterPoints:
     """Clusters of one frame in the level frame.
 
     cluster_id: (N,) int32 per point of the frame, -1 = none. planar: (3, M) float32 x, y, z, grouped; cluster k has
-    planar[:, offsets[k]:offsets[k + 1]]. offsets: (K + 1,) int64. box: (K, 8) float32: centre x, y, z, length, width,
+    planar[:, offsets[k]:offsets[k + 1]]. offsets: (K + 1,) int32. box: (K, 8) float32: centre x, y, z, length, width,
     height, yaw, gap to the road. Only ``cluster_id`` is a view into a buffer, valid until the next frame.
     """
 
@@ -61,7 +62,17 @@ class ClusterPoints:
         return means
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
+class _Runs:
+    """Runs of points of one label, -1 = none: run r from begin[r] to begin[r + 1]. across: how many cells each label is
+    across, empty = unknown."""
+
+    begin: np.ndarray
+    label: np.ndarray
+    across: np.ndarray
+
+
+@dataclass(slots=True)
 class _Grouped:
     """Points that lie together by cluster: cluster k from offsets[k] to offsets[k + 1], with its measured box."""
 
@@ -82,8 +93,8 @@ class Clustering:
         reach = range_max_m / c if g == 0 else g / c * np.log1p(range_max_m / g)
         self.side = 2 * int(np.ceil(reach)) + 2
         words = (self.side + 63) // 64
-        self._bits = np.zeros((3, self.side, words), np.uint64)
-        self._rank = np.zeros((self.side, words), np.int32)
+        self._grid = np.zeros((self.side, words, 4), np.uint64)
+        self._touched = np.zeros((self.side, (words + 63) // 64), np.uint64)
         self._row_start = np.zeros(self.side + 1, np.int32)
         self._limits = np.array(
             [config.min_points, config.max_points, config.max_height_m, config.min_top_m, config.max_diagonal_m],
@@ -93,16 +104,16 @@ class Clustering:
     @property
     def nbytes(self) -> int:
         """Bytes of the cell grids."""
-        return self._bits.nbytes + self._rank.nbytes + self._row_start.nbytes
+        return self._grid.nbytes + self._touched.nbytes + self._row_start.nbytes
 
     def cluster(self, frame: Levelled) -> ClusterPoints:
         """Group the points of a frame that are not ground."""
         # Components of cells that are occupied as low as a body; what is higher joins tall ones, or is on its own
         config, points = self._config, np.ascontiguousarray(frame.points)
-        label, across = self._components(points, len(frame.rest), self._body_m, "label")
+        runs = self._components(points, len(frame.rest), self._body_m, "all")
         if config.body_height_m > 0:
-            across = self._label_high(points, label, across)
-        found = self._regroup(label, across, points, frame.rest)
+            runs = self._label_high(points, runs)
+        found = self._regroup(runs, points, frame.rest)
 
         # Pieces of vehicles, then the article's second look
         if config.merge == "fragments":
@@ -110,35 +121,42 @@ class Clustering:
         found = self._second_look(found, self._possible(found))
         return self._result(frame, found)
 
-    def _components(self, points: np.ndarray, m: int, body_m: np.float32, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Component of the first ``m`` points, and how many cells each is across: the cells are filled by those lower
-        than ``body_m``."""
+    def _components(self, points: np.ndarray, m: int, body_m: np.float32, name: str) -> _Runs:
+        """Components of the first m points (4, M): the cells are filled by those lower than ``body_m``."""
         config, take = self._config, self._buffers.take
-        label, room = take(name, m, np.int32), m + 1 + LINE_FLOATS
-        scratch = take("cells", 6 * room, np.int32).reshape(6, room)
+        room = m + 1 + LINE_FLOATS
+        scratch = take("cells", 5 * room, np.int32).reshape(5, room)
+        begin, label = take(f"{name}_begin", m + 1, np.int32), take(f"{name}_label", m, np.int32)
         across = take(f"{name}_across", m, np.int32)
-        components = labels.label_points(
-            points, body_m, np.float32(config.cell_m), np.float32(config.cell_growth_m), config.min_cell_points > 1,
-            int(config.connectivity == 8), self._bits, self._rank, self._row_start, scratch, label, across,
+        runs, components = labels.label_points(
+            points, m, body_m, np.float32(config.cell_m), np.float32(config.cell_growth_m), config.min_cell_points > 1,
+            int(config.connectivity == 8), self._grid, self._touched, self._row_start, scratch, begin, label, across,
         )  # fmt: skip
-        return label, across[:components]
+        return _Runs(begin[: runs + 1], label[:runs], across[:components])
 
-    def _label_high(self, points: np.ndarray, label: np.ndarray, across: np.ndarray) -> np.ndarray:
+    def _label_high(self, points: np.ndarray, runs: _Runs) -> _Runs:
         """Give high points to tall components, and label those that join nothing: a roof behind other cars, or a
-        canopy. Returns how many cells each component is across, new ones included."""
-        take, components = self._buffers.take, len(across)
-        free = take("free", len(label), np.int32)
+        canopy."""
+        take, components, m = self._buffers.take, len(runs.across), runs.begin[-1]
+        label, free = take("label", m, np.int32), take("free", m, np.int32)
+        clusters.spread(runs.begin, runs.label, label)
         number = clusters.join_high(
             label, points[3], components, self._body_m - np.float32(TALL_BAND_M), self._body_m, TALL_SHARE,
             take("in_band", components, np.int32), take("total", components, np.int32), free,
         )  # fmt: skip
-        if number == 0:
-            return across
-        free = free[:number]
-        points = np.ascontiguousarray(points[:, free])
-        high, high_across = self._components(points, number, np.float32(np.inf), "label_high")
-        label[free] = np.where(high >= 0, high + components, -1)
-        return np.concatenate((across, high_across))
+        across = runs.across
+        if number > 0:
+            free = free[:number]
+            high = self._components(np.ascontiguousarray(points[:, free]), number, np.float32(np.inf), "high")
+            clusters.join_labels(high.begin, high.label, components, free, label)
+            across = np.concatenate((across, high.across))
+        return self._runs(label, across)
+
+    def _runs(self, label: np.ndarray, across: np.ndarray) -> _Runs:
+        """Points with a label (M,) each, as runs of one label."""
+        begin = self._buffers.take("begin", len(label) + 1, np.int32)
+        runs = find_runs(label, begin)
+        return _Runs(begin[: runs + 1], label[begin[:runs]], across)
 
     @property
     def _body_m(self) -> np.float32:
@@ -150,35 +168,31 @@ class Clustering:
         """Components with fewer points are not looked at."""
         return 1 if self._config.merge == "fragments" else self._config.min_points
 
-    def _regroup(self, label: np.ndarray, across: np.ndarray, points: np.ndarray, source: np.ndarray) -> _Grouped:
-        """Points by label, those of components that may be a cluster or a part of one, as copies that lie together."""
+    def _regroup(self, runs: _Runs, points: np.ndarray, source: np.ndarray) -> _Grouped:
+        """Points by component, of those that may be a cluster or a part of one, as copies that lie together."""
         config = self._config
         widest = int(config.max_diagonal_m / config.cell_m)  # cells only grow with range
-        return self._arranged(
-            label, len(across), points, source, 0, self._fewest_points, config.max_points, across, widest
-        )
+        count = len(runs.across)
+        return self._arranged(runs, count, points, source, 0, self._fewest_points, config.max_points, widest)
 
     def _rejoin(self, found: _Grouped, group: np.ndarray) -> _Grouped:
         """Clusters with the same ``group`` (K,) become one."""
-        label = self._buffers.take("label", len(found.source), np.int32)
-        clusters.relabel(group, found.offsets, label)
-        return self._again(found, label, len(found.box))
+        return self._again(found, _Runs(found.offsets, group, _UNKNOWN), len(found.box))
 
-    def _again(self, found: _Grouped, label: np.ndarray, count: int) -> _Grouped:
+    def _again(self, found: _Grouped, runs: _Runs, count: int) -> _Grouped:
         """Points of clusters, grouped anew by ``count`` labels."""
-        return self._arranged(label, count, found.points, found.source, 1 - found.side, 1, len(label), _UNKNOWN, 0)
+        return self._arranged(runs, count, found.points, found.source, 1 - found.side, 1, len(found.source), 0)
 
     def _arranged(
-        self, label: np.ndarray, components: int, points: np.ndarray, source: np.ndarray, side: int, fewest: int,
-        most: int, across: np.ndarray, widest: int,
+        self, runs: _Runs, components: int, points: np.ndarray, source: np.ndarray, side: int, fewest: int, most: int,
+        widest: int,
     ) -> _Grouped:  # fmt: skip
         m, take = len(source), self._buffers.take
-        offsets, box = take(f"offsets{side}", components + 1, np.int64), np.empty((components, 8), np.float32)
+        offsets, box = take(f"offsets{side}", components + 1, np.int32), np.empty((components, 8), np.float32)
         flat, there_source = take(f"points{side}", 4 * m, np.float32), take(f"source{side}", m, np.int32)
-        room = max(m, components) + 1
         count, total = clusters.regroup(
-            label, components, fewest, most, across, widest, points, source,
-            take("runs", 2 * room, np.int32).reshape(2, room), offsets, flat, there_source, box,
+            runs.begin, runs.label, components, fewest, most, runs.across, widest, points, source,
+            take("number", components, np.int32), offsets, flat, there_source, box,
         )  # fmt: skip
         return _Grouped(
             flat[: 4 * total].reshape(4, total), there_source[:total], offsets[: count + 1], box[:count], side
@@ -208,7 +222,7 @@ class Clustering:
             )
         label, scratch = take("label", total, np.int32), take("kept", 4 * total, np.float32).reshape(4, total)
         count = splitting.second_look(found.points, found.offsets, found.box, good, trim, split, engulf, scratch, label)
-        return self._again(found, label, count)
+        return self._again(found, self._runs(label, _UNKNOWN), count)
 
     def _result(self, frame: Levelled, found: _Grouped) -> ClusterPoints:
         cluster_id = self._buffers.take("cluster_id", len(frame.x), np.int32)

@@ -10,38 +10,35 @@ import numpy as np
 
 from services.infra_lidar.extremes import low_high
 from services.infra_lidar.jit import inline, kernel, sum_kernel
-from services.infra_lidar.kernels_runs import find_runs
 from services.infra_lidar.vectors import LANES, fma, lane_max, lane_min, lane_sum, larger, load, smaller, splat, store
 
 
 @kernel
 def regroup(
-    label, components, fewest, most, across, widest, points, source, scratch, offsets, flat, grouped_source, box
+    begin, label, components, fewest, most, across, widest, points, source, number, offsets, flat, grouped_source, box
 ):  # type: ignore[no-untyped-def]  # fmt: skip
     """Copy the points so that those of a label lie together, label by label, and measure each of these clusters.
 
-    label (M,) int32 in -1 .. components - 1; -1 is left out, and so are labels of fewer than ``fewest`` points or more
-    than ``most``, and those that are more than ``widest`` cells ``across`` (components,), none = unknown. Written:
-    offsets (K + 1,), where each cluster begins; flat, the head of which becomes a (4, T) array of points;
-    grouped_source (T,); box (K, 8), see ``measure``. scratch (2, M + 1 or more) int32 is overwritten. Returns (K, T).
+    begin (R + 1,) int: where runs of points of one label begin; label (R,) int32 in -1 .. components - 1. -1 is left
+    out, and so are labels of fewer than ``fewest`` points or more than ``most``, and those that are more than
+    ``widest`` cells ``across`` (components,), none = unknown. Written: offsets (K + 1,), where each cluster begins;
+    flat, the head of which becomes a (4, T) array of points; grouped_source (T,); box (K, 8), see ``measure``. number
+    (components,) int32 is scratch. Returns (K, T).
     """
-    begin, number = scratch[0], scratch[1]
-    runs = find_runs(label, begin)
-    clusters, total = _number_clusters(label, begin, runs, components, fewest, most, across, widest, number, offsets)
+    clusters, total = _number_clusters(begin, label, components, fewest, most, across, widest, number, offsets)
     there = flat[: 4 * total].reshape(4, total)
-    _arrange(label, begin, runs, number, offsets[:clusters], points, source, there, grouped_source)
+    _arrange(begin, label, number, offsets[:clusters], points, source, there, grouped_source)
     measure(there, offsets[: clusters + 1], box)
     return clusters, total
 
 
 @kernel
-def _number_clusters(label, begin, runs, components, fewest, most, across, widest, number, offsets):  # type: ignore[no-untyped-def]
+def _number_clusters(begin, label, components, fewest, most, across, widest, number, offsets):  # type: ignore[no-untyped-def]
     """number (components,): the cluster that a label becomes, -1 = left out. Returns (clusters, points)."""
     number[:components] = 0
-    for r in range(runs):
-        k = label[begin[r]]
-        if k >= 0:
-            number[np.uint32(k)] += begin[r + 1] - begin[r]
+    for r in range(len(label)):
+        if label[r] >= 0:
+            number[np.uint32(label[r])] += begin[r + 1] - begin[r]
     clusters, total = 0, 0
     for c in range(components):
         count = number[c]
@@ -56,16 +53,17 @@ def _number_clusters(label, begin, runs, components, fewest, most, across, wides
 
 
 @kernel
-def _arrange(label, begin, runs, number, offsets, points, source, there, there_source):  # type: ignore[no-untyped-def]
-    """A stable counting sort by ``number[label]``, run by run."""
-    slot = offsets.copy()
-    for r in range(runs):
-        first, n = begin[r], begin[r + 1] - begin[r]
-        k = label[first]
+def _arrange(begin, label, number, offsets, points, source, there, there_source):  # type: ignore[no-untyped-def]
+    """A stable counting sort by ``number[label]``, run by run; runs of one label, one behind the other, at once."""
+    slot, r = offsets.copy(), 0
+    while r < len(label):
+        first, k = begin[r], label[r]
+        while r < len(label) and label[r] == k:
+            r += 1
         k = number[np.uint32(k)] if k >= 0 else np.int32(-1)
         if k < 0:
             continue
-        to = slot[np.uint32(k)]
+        n, to = begin[r] - first, slot[np.uint32(k)]
         slot[np.uint32(k)] += n
         for row in range(4):
             _copy(points[row], first, n, there[row], to)
@@ -177,6 +175,15 @@ def join_high(label, above, components, band_m, body_m, share, in_band, total, f
 
 
 @kernel
+def join_labels(begin, found, by, free, label):  # type: ignore[no-untyped-def]
+    """label (M,) of the points ``free`` (F,): what was ``found`` for runs of them, raised by ``by``, or -1."""
+    for r in range(len(found)):
+        k = found[r] + by if found[r] >= 0 else -1
+        for i in range(begin[r], begin[r + 1]):
+            label[free[i]] = k
+
+
+@kernel
 def possible(box, offsets, limits, good):  # type: ignore[no-untyped-def]
     """good (K,) bool: clusters of a possible size. limits (6,) float32: fewest and most points, largest height, lowest
     top above the road, longest diagonal of the footprint."""
@@ -187,10 +194,10 @@ def possible(box, offsets, limits, good):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def relabel(group, offsets, label):  # type: ignore[no-untyped-def]
-    """label (T,) of points that lie together: ``group`` (K,) int32 of their cluster."""
-    for k in range(group.shape[0]):
-        label[offsets[k] : offsets[k + 1]] = group[k]
+def spread(begin, label, out):  # type: ignore[no-untyped-def]
+    """out (N,): the label of each point, from those of runs."""
+    for r in range(len(label)):
+        out[begin[r] : begin[r + 1]] = label[r]
 
 
 @kernel

@@ -43,7 +43,8 @@ SETTINGS = np.dtype(
         "range_max_m", "height_min_m", "height_max_m", "ring_m", "limit_base_m", "limit_slope",
         "limit_max_m", "below_m", "above_m", "max_step", "step_up_m", "step_down_m", "first_place",
     )]
-    + [("percentile", np.float64), ("sectors", np.int64), ("min_points", np.int64), ("keep_below", np.bool_), ("flat", np.bool_)]
+    + [("percentile", np.float64), ("sectors", np.int64), ("min_points", np.int64)]
+    + [("keep_below", np.bool_), ("flat", np.bool_)]
 )  # fmt: skip
 
 
@@ -92,15 +93,16 @@ def _height_of(place):  # type: ignore[no-untyped-def]
 def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-untyped-def]
     """Rotate and shift (N, 3+) float32 sensor-frame points into planar level-frame x, y, z (N,) float32.
 
-    cell (N,) int16 is the polar cell, ring * sectors + sector, or CLIPPED. Points closer than half a metre or not finite get z = NaN and are clipped. histogram (cells + 1,
-    bins) uint16 counts heights, the first bin beginning at ``s.first_place``; those outside go to the end bins, and
-    clipped points to the last row, so that nothing has to be decided. All outputs have room for a vector more. Returns
-    (returns, those of them closer than near_m).
+    cell (N,) int16 is the polar cell, ring * sectors + sector, or CLIPPED. Points closer than half a metre or not
+    finite get z = NaN and are clipped. histogram (cells + 1, bins) uint16 counts heights, the first bin beginning at
+    ``s.first_place``; those outside go to the end bins, and clipped points to the last row, so that nothing has to be
+    decided. All outputs have room for a vector more. Returns (returns, those of them closer than near_m).
     """
     n, width = points.shape
     flat, counts = points.reshape(points.size), histogram.reshape(histogram.size)
     counts[:] = 0
     at, returns, near = np.empty(BLOCK + LANES, np.int32), splat(np.int32(0)), splat(np.int32(0))
+    grid, first_place = _polar_grid(s), splat(s.first_place)
     cells, bins, near_m2 = histogram.shape[0] - 1, histogram.shape[1], near_m * near_m
     for start in range(0, n, BLOCK):
         source, begin = whole_block(flat, width, start, n)
@@ -112,14 +114,15 @@ def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-un
             returns += ones(there)
             near += ones(there & (squared < near_m2))
             lx, ly, lz = _turned(a, b, c, T)
-            lz = select(there, lz, NOT_A_NUMBER)
-            k, inside = _polar_cell(lx, ly, lz, s)
             store(x, start + i, lx)
             store(y, start + i, ly)
-            store(z, start + i, lz)
-            store(cell, start + i, select(inside, k, CLIPPED))
-            bin_ = smaller(larger(whole(_bin_place(lz) - s.first_place), 0), np.int32(bins - 1))
-            store(at, i, select(inside, k * np.int32(bins) + bin_, np.int32(cells * bins)))
+            store(z, start + i, select(there, lz, NOT_A_NUMBER))
+        for i in range(start, start + size, LANES):  # a loop of its own: shorter ones overlap better
+            height = load(z, i)
+            k, inside = _polar_cell(load(x, i), load(y, i), height, grid)
+            store(cell, i, select(inside, k, CLIPPED))
+            bin_ = smaller(larger(whole(_bin_place(height) - first_place), 0), np.int32(bins - 1))
+            store(at, i - start, select(inside, k * np.int32(bins) + bin_, np.int32(cells * bins)))
         for i in range(size):
             counts[np.uint32(at[i])] += np.uint16(1)
     return lane_sum(returns), lane_sum(near)
@@ -128,10 +131,10 @@ def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-un
 @kernel
 def level_planar(sensor, n, T, s, x, y, z, cell):  # type: ignore[no-untyped-def]
     """The same for n returns that are planar already, sensor (3, n or more) float32, and not counted."""
-    a, b, c = sensor[0], sensor[1], sensor[2]
+    a, b, c, grid = sensor[0], sensor[1], sensor[2], _polar_grid(s)
     for i in range(0, n, LANES):
         lx, ly, lz = _turned(load(a, i), load(b, i), load(c, i), T)
-        k, inside = _polar_cell(lx, ly, lz, s)
+        k, inside = _polar_cell(lx, ly, lz, grid)
         store(x, i, lx)
         store(y, i, ly)
         store(z, i, lz)
@@ -147,13 +150,20 @@ def _turned(a, b, c, T):  # type: ignore[no-untyped-def]
 
 
 @inline
-def _polar_cell(x, y, z, s):  # type: ignore[no-untyped-def]
+def _polar_grid(s):  # type: ignore[no-untyped-def]
+    """What ``_polar_cell`` needs, once for all points: nothing could tell the compiler that it does not change."""
+    limits = splat(s.range_max_m), splat(s.height_min_m), splat(s.height_max_m)
+    return limits, splat(np.float32(1.0) / s.ring_m), splat(np.float32(s.sectors / (2.0 * np.pi))), splat(s.sectors)
+
+
+@inline
+def _polar_cell(x, y, z, grid):  # type: ignore[no-untyped-def]
     """Polar cell of points, and whether they are inside the limits; if not, the cell means nothing."""
+    (range_max_m, z_min_m, z_max_m), per_ring, per_sector, sectors = grid
     radius = root(fma(x, x, y * y))
-    inside = (radius <= s.range_max_m) & (z >= s.height_min_m) & (z <= s.height_max_m)
-    sector = whole((angle(y, x) + PI) * np.float32(s.sectors / (2.0 * np.pi)))
-    ring = whole(radius * (np.float32(1.0) / s.ring_m))
-    return ring * np.int32(s.sectors) + smaller(sector, np.int32(s.sectors - 1)), inside
+    inside = (radius <= range_max_m) & (z >= z_min_m) & (z <= z_max_m)
+    sector = smaller(whole((angle(y, x) + PI) * per_sector), sectors - 1)
+    return whole(radius * per_ring) * sectors + sector, inside
 
 
 @inline

@@ -12,9 +12,10 @@ import numpy as np
 from services.infra_lidar.jit import inline, kernel
 from services.infra_lidar.kernels_cells import grid_cells
 from services.infra_lidar.kernels_runs import find_runs
-from services.infra_lidar.vectors import LANES, bit_count, first_bit, splat, store
+from services.infra_lidar.vectors import bit_count, first_bit
 
 ONE = np.uint64(1)
+ONCE, TWICE, STARTS, RANK = 0, 1, 2, 3  # what a word of 64 cells has: layers of the grid, side by side
 
 
 @inline
@@ -26,31 +27,33 @@ def _find(parent, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def label_points(points, body_m, cell_m, growth_m, two_points, eight, bits, rank, row_start, scratch, label, across):  # type: ignore[no-untyped-def]
-    """Component of every point, -1 = none; label (N,) int32 is written. Returns the number of components.
+def label_points(
+    points, n, body_m, cell_m, growth_m, two_points, eight, grid, touched, row_start, scratch, begin, label, across
+):  # type: ignore[no-untyped-def]
+    """Components of n points, as runs of points of one cell: begin (n + 1,) int32, where each run begins, and label (n,)
+    int32, its component, -1 = none; both have room for so many or more. Returns the numbers of runs and components.
 
-    across (N or more,) int32 is written, too: how many cells of each component lie for certain between two of its
+    across (n or more,) int32 is written, too: how many cells of each component lie for certain between two of its
     points, along the axis along which they are more.
 
-    points (4, N or more) float32: x, y, z, height above the road; those lower than ``body_m`` fill the cells.
-    two_points: a cell needs two to be occupied; eight: cells that touch at a corner are neighbours. bits (3, side,
-    words) uint64, rank (side, words) int32, row_start (side + 1,) int32 and scratch (6, N + 1 or more) int32 are
-    overwritten. label and the rows of scratch have room for a vector more.
+    points (4, n or more) float32: x, y, z, height above the road; those lower than ``body_m`` fill the cells.
+    two_points: a cell needs two to be occupied; eight: cells that touch at a corner are neighbours. grid (side, words,
+    4) uint64 and touched (side, words of bits of words) uint64 are as this function left them, or 0. row_start (side +
+    1,) int32 and scratch (5, n + 1 or more) int32 are overwritten, scratch with room for a vector more in every row.
     """
-    n, once, twice, starts = label.shape[0], bits[0], bits[1], bits[2]
-    key, begin, parent, first, last = scratch[0, :n], scratch[1], scratch[2], scratch[3], scratch[4]
-    grid_cells(points[0, :n], points[1, :n], cell_m, growth_m, once.shape[0], key, scratch[5, :n])
+    key, parent, first, last = scratch[0, :n], scratch[1], scratch[2], scratch[3]
+    grid_cells(points[0, :n], points[1, :n], cell_m, growth_m, grid.shape[0], key, scratch[4, :n])
     for i in range(n):
-        key[i] = cell_key(key[i], scratch[5, i], once.shape[1], points[3, i] < body_m)
-    keys = find_runs(key, begin)
-    occupy(key, begin, keys, once, twice)
-    occupied = twice if two_points else once
-    runs = find_rows(occupied, starts, rank, parent, first, last, row_start)
+        key[i] = cell_key(key[i], scratch[4, i], grid.shape[1], points[3, i] < body_m)
+    runs = find_runs(key, begin)
+    _clear(grid, touched)
+    occupy(key, begin, runs, grid, touched)
+    rows = find_rows(grid, touched, TWICE if two_points else ONCE, parent, first, last, row_start)
     join_rows(parent, first, last, row_start, eight)
-    components = number_components(parent, runs)
+    components = number_components(parent, rows)
     _measure_across(parent, first, last, row_start, components, across)
-    point_labels(key, begin, keys, occupied, starts, rank, parent, label)
-    return components
+    label_runs(key, begin, runs, grid, TWICE if two_points else ONCE, parent, label)
+    return runs, components
 
 
 @inline
@@ -60,56 +63,67 @@ def cell_key(row, column, words, fills):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def occupy(key, begin, keys, once, twice):  # type: ignore[no-untyped-def]
-    """Set the bits of cells that one point fills or more, and of those that two fill or more.
-
-    key (N,) int32 by ``cell_key``, equal ones in ``keys`` runs that begin at ``begin``.
-    """
-    once[:] = 0
-    twice[:] = 0
-    ones, twos = once.reshape(once.size), twice.reshape(twice.size)
-    for r in range(keys):
-        k = np.uint32(key[begin[r]])
-        at = k >> np.uint32(7)
-        bit = np.uint64(k & np.uint32(1)) << np.uint64((k >> np.uint32(1)) & np.uint32(63))
-        seen = ones[at]
-        more = bit if begin[r + 1] - begin[r] > 1 else seen & bit
-        twos[at] |= more  # without branches: nobody can guess which cell comes next
-        ones[at] = seen | bit
+def _clear(grid, touched):  # type: ignore[no-untyped-def]
+    """Take back what the last frame left."""
+    for r in range(touched.shape[0]):
+        for t in range(touched.shape[1]):
+            while touched[r, t] != 0:
+                w = 64 * t + first_bit(touched[r, t])
+                grid[r, w, ONCE] = grid[r, w, TWICE] = 0
+                touched[r, t] &= touched[r, t] - ONE
 
 
 @kernel
-def find_rows(bits, starts, rank, parent, first, last, row_start):  # type: ignore[no-untyped-def]
-    """Runs of set bits, row by row. bits (R, W) uint64.
+def occupy(key, begin, runs, grid, touched):  # type: ignore[no-untyped-def]
+    """Set the bits of cells that one point fills or more, and of those that two fill or more, and of the words that
+    hold any.
 
-    Writes per word the bits where runs start (``starts``) and the number of runs before it (``rank``), per run its
+    key (N,) int32 by ``cell_key``, equal ones in ``runs`` that begin at ``begin``.
+    """
+    words, flat = grid.shape[1], grid.reshape(grid.size)
+    for r in range(runs):
+        k = np.uint32(key[begin[r]])
+        at = k >> np.uint32(7)
+        bit = np.uint64(k & np.uint32(1)) << np.uint64((k >> np.uint32(1)) & np.uint32(63))
+        seen = flat[np.uint32(4) * at + np.uint32(ONCE)]
+        if seen == 0:
+            row, word = np.uint32(at) // np.uint32(words), np.uint32(at) % np.uint32(words)
+            touched[row, word >> np.uint32(6)] |= ONE << np.uint64(word & np.uint32(63))
+        flat[np.uint32(4) * at + np.uint32(TWICE)] |= bit if begin[r + 1] - begin[r] > 1 else seen & bit
+        flat[np.uint32(4) * at + np.uint32(ONCE)] = seen | bit
+
+
+@kernel
+def find_rows(grid, touched, occupied, parent, first, last, row_start):  # type: ignore[no-untyped-def]
+    """Runs of set bits, row by row, of the layer ``occupied`` of the grid.
+
+    Writes per word the bits where runs start and the number of runs before it (layers STARTS and RANK), per run its
     first and last column and itself as parent, per row its first run. Returns the number of runs.
     """
-    rows, words = bits.shape
+    rows, words = grid.shape[0], grid.shape[1]
     runs, ends = 0, 0
     for r in range(rows):
         row_start[r] = runs
-        carry = np.uint64(0)
-        for w in range(words):
-            word = bits[r, w]
-            if word == 0:  # nobody asks for starts and rank there
-                carry = word
-                continue
-            rank[r, w] = runs
-            s = word & ~((word << ONE) | carry)
-            starts[r, w] = s
-            following = bits[r, w + 1] & ONE if w + 1 < words else np.uint64(0)
-            e = word & ~((word >> ONE) | (following << np.uint64(63)))
-            carry = word >> np.uint64(63)
-            while s != 0:
-                first[runs] = w * 64 + first_bit(s)
-                parent[runs] = runs
-                s &= s - ONE
-                runs += 1
-            while e != 0:  # ends come in the order of the starts, some of them a word later
-                last[ends] = w * 64 + first_bit(e)
-                e &= e - ONE
-                ends += 1
+        for t in range(touched.shape[1]):
+            left = touched[r, t]
+            while left != 0:
+                w = 64 * t + first_bit(left)
+                left &= left - ONE
+                word = grid[r, w, occupied]
+                before = grid[r, w - 1, occupied] >> np.uint64(63) if w > 0 else np.uint64(0)
+                behind = grid[r, w + 1, occupied] & ONE if w + 1 < words else np.uint64(0)
+                s = word & ~((word << ONE) | before)
+                e = word & ~((word >> ONE) | (behind << np.uint64(63)))
+                grid[r, w, STARTS], grid[r, w, RANK] = s, np.uint64(runs)
+                while s != 0:
+                    first[runs] = 64 * w + first_bit(s)
+                    parent[runs] = runs
+                    s &= s - ONE
+                    runs += 1
+                while e != 0:  # ends come in the order of the starts, some of them a word later
+                    last[ends] = 64 * w + first_bit(e)
+                    e &= e - ONE
+                    ends += 1
     row_start[rows] = runs
     return runs
 
@@ -160,16 +174,15 @@ def _measure_across(parent, first, last, row_start, components, across):  # type
 
 
 @kernel
-def point_labels(key, begin, keys, bits, starts, rank, parent, label):  # type: ignore[no-untyped-def]
-    """Component of each point's cell, -1 where the cell is not occupied enough; label has room for a vector more."""
-    all_bits, all_starts, all_ranks = bits.reshape(bits.size), starts.reshape(starts.size), rank.reshape(rank.size)
-    for r in range(keys):
+def label_runs(key, begin, runs, grid, occupied, parent, label):  # type: ignore[no-untyped-def]
+    """Component of the cell of each run of points, -1 where the cell is not occupied enough."""
+    flat = grid.reshape(grid.size)
+    for r in range(runs):
         k = np.uint32(key[begin[r]])
-        at = k >> np.uint32(7)
+        at = np.uint32(4) * (k >> np.uint32(7))
         bit = ONE << np.uint64((k >> np.uint32(1)) & np.uint32(63))
-        occupied = (all_bits[at] & bit) != 0
-        run = all_ranks[at] + bit_count(all_starts[at] & ((bit - ONE) | bit)) - np.int32(1)
-        found = parent[np.uint32(run if occupied else np.int32(0))]  # without a branch: half of them are not, in turns
-        found = found if occupied else np.int32(-1)
-        for i in range(begin[r], begin[r + 1], LANES):
-            store(label, i, splat(found))  # the next run overwrites what is too much
+        there = (flat[at + np.uint32(occupied)] & bit) != 0
+        upto = bit_count(flat[at + np.uint32(STARTS)] & ((bit - ONE) | bit))
+        run = np.int32(flat[at + np.uint32(RANK)]) + upto - np.int32(1)
+        found = parent[np.uint32(run if there else np.int32(0))]  # without a branch: half of them are not, in turns
+        label[r] = found if there else np.int32(-1)

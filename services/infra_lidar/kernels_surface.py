@@ -30,7 +30,8 @@ def sloped_surface(height, s, surface, accepted):  # type: ignore[no-untyped-def
     """Walk outward from the pole, accept cells that continue the road, then fit a tangent plane per cell.
 
     height (rings, sectors) float32 low percentile, NaN = unknown; surface (rings, sectors, 3) and accepted written.
-    A cell may lie ``s.step_up_m`` above what was expected (a kerb) or ``s.step_down_m`` below it: nothing lies under a road.
+    A cell may lie ``s.step_up_m`` above what was expected (a kerb) or ``s.step_down_m`` below it: nothing lies under a
+    road.
     """
     rings, sectors = height.shape
     ring_m, up, down = s.ring_m, s.step_up_m, s.step_down_m

@@ -8,7 +8,6 @@ from scipy import ndimage
 
 from services.infra_lidar import kernels_labels as kernels
 from services.infra_lidar.kernels_runs import find_runs
-from services.infra_lidar.vectors import LANES
 
 ONES = np.ones((3, 3), int)
 
@@ -17,19 +16,18 @@ def _label(cells, connectivity):
     """Labels of a boolean grid by the compiled path: every set cell is one point."""
     side, words = cells.shape[0], (cells.shape[1] + 63) // 64
     row, column = (a.astype(np.int32) for a in np.nonzero(cells))
-    once, twice = np.zeros((side, words), np.uint64), np.zeros((side, words), np.uint64)
+    grid, touched = np.zeros((side, words, 4), np.uint64), np.zeros((side, (words + 63) // 64), np.uint64)
     key, begin = 2 * (row * np.int32(64 * words) + column) + 1, np.zeros(len(row) + 1, np.int32)
     keys = find_runs(key, begin)
-    kernels.occupy(key, begin, keys, once, twice)
-    starts, rank = np.zeros_like(once), np.zeros((side, words), np.int32)
+    kernels.occupy(key, begin, keys, grid, touched)
     parent, first, last = (np.zeros(len(row) + 1, np.int32) for _ in range(3))
     row_start = np.zeros(side + 1, np.int32)
-    runs = kernels.find_rows(once, starts, rank, parent, first, last, row_start)
+    runs = kernels.find_rows(grid, touched, kernels.ONCE, parent, first, last, row_start)
     kernels.join_rows(parent, first, last, row_start, int(connectivity == 8))
     components = kernels.number_components(parent, runs)
-    label = np.empty(len(row) + LANES, np.int32)
-    kernels.point_labels(key, begin, keys, once, starts, rank, parent, label)
-    return label[: len(row)], components, (row, column), twice
+    label = np.empty(len(row), np.int32)
+    kernels.label_runs(key, begin, keys, grid, kernels.ONCE, parent, label)
+    return label, components, (row, column)
 
 
 def _same_partition(a, b):
@@ -44,7 +42,7 @@ def _same_partition(a, b):
 )  # fmt: skip
 def test_the_partition_is_scipys(seed, width, density, connectivity):
     cells = np.random.default_rng(seed).random((40, width)) < density
-    label, components, (row, column), _ = _label(cells, connectivity)
+    label, components, (row, column) = _label(cells, connectivity)
     reference, found = ndimage.label(cells, ONES if connectivity == 8 else None)
     assert components == found
     assert _same_partition(label, reference[row, column])
@@ -55,7 +53,7 @@ def test_runs_across_words(first):
     cells = np.zeros((3, 200), bool)
     cells[1, first : first + 70] = True
     cells[0, first + 69] = cells[2, first] = True
-    label, components, _, _ = _label(cells, 4)
+    label, components, _ = _label(cells, 4)
     assert components == 1
     assert set(label) == {0}
 
@@ -68,8 +66,9 @@ def test_corners_join_only_with_eight():
 
 def test_cells_with_two_points_are_told_apart():
     row, column = np.array([0, 0, 1], np.int32), np.array([70, 70, 3], np.int32)
-    once, twice = np.zeros((2, 2), np.uint64), np.zeros((2, 2), np.uint64)
+    grid, touched = np.zeros((2, 2, 4), np.uint64), np.zeros((2, 1), np.uint64)
     key, begin = 2 * (row * np.int32(128) + column) + 1, np.zeros(4, np.int32)
-    kernels.occupy(key, begin, find_runs(key, begin), once, twice)
-    assert twice[0, 1] == np.uint64(1 << 6)
-    assert twice[1, 0] == 0
+    kernels.occupy(key, begin, find_runs(key, begin), grid, touched)
+    assert grid[0, 1, kernels.TWICE] == np.uint64(1 << 6)
+    assert grid[1, 0, kernels.TWICE] == 0
+    assert touched[:, 0].tolist() == [2, 1]
