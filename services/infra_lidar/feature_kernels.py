@@ -29,6 +29,7 @@ from services.infra_lidar.vectors import (
     larger,
     load,
     ones,
+    root,
     select,
     smaller,
     splat,
@@ -69,10 +70,9 @@ def cluster_features(
         ValueError: an empty cluster.
     """
     table, nearest_m = np.zeros((len(offsets) - 1, _WIDTH), np.float32), np.zeros(len(offsets) - 1, np.float32)
-    counts = offsets[1:] - offsets[:-1]
-    if counts.min(initial=1) < 1:
+    fewest, largest = _fewest_and_most(offsets)
+    if fewest < 1:
         raise ValueError("offsets: every cluster needs at least one point")
-    largest = int(counts.max(initial=1))
     room, cells = room_for(largest if neighbours else 0)
     size, take = (largest // LANES + 2) * LANES, buffers.take
     scratch, work = take("cluster", 6 * size, np.float32).reshape(6, size), take("work", 6 * room, np.float32)
@@ -82,6 +82,16 @@ def cluster_features(
         nearest_m,
     )  # fmt: skip
     return table, nearest_m
+
+
+@kernel
+def _fewest_and_most(offsets: np.ndarray) -> tuple[int, int]:
+    """Points of the smallest and of the largest cluster; 1 of none."""
+    fewest, most = offsets[-1] + 1, 1
+    for k in range(len(offsets) - 1):
+        count = offsets[k + 1] - offsets[k]
+        fewest, most = min(fewest, count), max(most, count)
+    return fewest, most
 
 
 @kernel

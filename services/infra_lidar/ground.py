@@ -96,6 +96,7 @@ class Ground:
             frame.z, frame.cell,
         )  # fmt: skip
         self._count[:] = self._histogram[:-1].sum(axis=1)
+        self._histogram[:] = 0
         return frame
 
     @property

@@ -94,13 +94,13 @@ def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-un
     """Rotate and shift (N, 3+) float32 sensor-frame points into planar level-frame x, y, z (N,) float32.
 
     cell (N,) int16 is the polar cell, ring * sectors + sector, or CLIPPED. Points closer than half a metre or not
-    finite get z = NaN and are clipped. histogram (cells + 1, bins) uint16 counts heights, the first bin beginning at
-    ``s.first_place``; those outside go to the end bins, and clipped points to the last row, so that nothing has to be
-    decided. All outputs have room for a vector more. Returns (returns, those of them closer than near_m).
+    finite get z = NaN and are clipped. histogram (cells + 1, bins) uint16, cleared, counts heights, the first bin
+    beginning at ``s.first_place``; those outside go to the end bins, and clipped points to the last row, so that
+    nothing has to be decided. All outputs have room for a vector more. Returns (returns, those of them closer than
+    near_m).
     """
     n, width = points.shape
     flat, counts = points.reshape(points.size), histogram.reshape(histogram.size)
-    counts[:] = 0
     at, returns, near = np.empty(BLOCK + LANES, np.int32), splat(np.int32(0)), splat(np.int32(0))
     grid, first_place = _polar_grid(s), splat(s.first_place)
     cells, bins, near_m2 = histogram.shape[0] - 1, histogram.shape[1], near_m * near_m
@@ -178,44 +178,42 @@ def cell_heights(histogram, s, number, height):  # type: ignore[no-untyped-def]
     """Low percentile of each cell's heights by selection, rank max(1, int(percentile n)); NaN where too few points.
 
     number (cells,) int32 is the number of points: cells are counted from their bins, since neighbours in time often
-    share a cell, and adding to one counter again and again waits for memory each time.
+    share a cell, and adding to one counter again and again waits for memory each time. What was counted is cleared.
     """
-    fours = histogram.view(np.uint64)
+    fours, bins = histogram.view(np.uint64), histogram.shape[1]
     for c in range(number.shape[0]):
-        n = _sum(fours[c], 0, fours.shape[1])
+        n = _sum(fours, c, 0, bins)
         number[c], height[c] = n, np.nan
-        if n < s.min_points:
-            continue
-        row, rank = histogram[c], max(1, int(s.percentile * n))
-        b, seen = _bin_of(row, fours[c], rank)
-        # inside a bin heights are as good as evenly spread
-        height[c] = _height_of(s.first_place + b + (rank - seen + 0.5) / row[b])
+        if n >= s.min_points:
+            rank = max(1, int(s.percentile * n))
+            b, seen = _bin_of(histogram, fours, c, rank)
+            # inside a bin heights are as good as evenly spread
+            height[c] = _height_of(s.first_place + b + (rank - seen + 0.5) / histogram[c, b])
+        if n > 0:
+            for k in range(bins // 4):
+                fours[c, k] = np.uint64(0)
 
 
-@kernel
-def _sum(fours, first, last):  # type: ignore[no-untyped-def]
-    """Sum of counts, four at a time: as long as no count overflows, neither does a fourth of them."""
+@inline
+def _sum(fours, c, first, last):  # type: ignore[no-untyped-def]
+    """Sum of the counts of bins ``first`` to ``last`` of a cell, four at a time: as long as no count overflows, neither
+    does a fourth of them."""
     added, low = np.uint64(0), np.uint64(0xFFFF)
-    for k in range(first, last):
-        added += fours[k]
+    for k in range(first // 4, last // 4):
+        added += fours[c, k]
     parts = (added & low) + ((added >> np.uint64(16)) & low) + ((added >> np.uint64(32)) & low)
     return np.int64(parts + (added >> np.uint64(48)))
 
 
-@kernel
-def _bin_of(row, fours, rank):  # type: ignore[no-untyped-def]
-    """The bin that holds the rank, and the number before it."""
-    seen, k = np.int64(0), 0
-    while True:
-        here = _sum(fours, k, k + CHUNK // 4)
-        if seen + here > rank:
-            break
-        seen += here
-        k += CHUNK // 4
-    b = 4 * k
-    while seen + np.int64(row[b]) <= rank:
-        seen += np.int64(row[b])
-        b += 1
+@inline
+def _bin_of(histogram, fours, c, rank):  # type: ignore[no-untyped-def]
+    """The bin of a cell that holds the rank, and the number before it."""
+    seen, b, here = np.int64(0), 0, _sum(fours, c, 0, CHUNK)
+    while seen + here <= rank:
+        seen, b = seen + here, b + CHUNK
+        here = _sum(fours, c, b, b + CHUNK)
+    while seen + np.int64(histogram[c, b]) <= rank:
+        seen, b = seen + np.int64(histogram[c, b]), b + 1
     return b, seen
 
 
