@@ -29,7 +29,6 @@ from services.infra_lidar.vectors import (
     larger,
     load,
     ones,
-    root,
     select,
     smaller,
     splat,

@@ -184,13 +184,12 @@ def join_labels(begin, found, by, free, label):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def possible(box, offsets, limits, good):  # type: ignore[no-untyped-def]
-    """good (K,) bool: clusters of a possible size. limits (6,) float32: fewest and most points, largest height, lowest
-    top above the road, longest diagonal of the footprint."""
+def possible(box, offsets, s, good):  # type: ignore[no-untyped-def]
+    """good (K,) bool: clusters of a possible size; s: settings, as in ``kernels_steps``."""
     for k in range(box.shape[0]):
-        n = offsets[k + 1] - offsets[k]
-        good[k] = (limits[0] <= n) & (n <= limits[1]) & (box[k, 5] <= limits[2])
-        good[k] &= (box[k, 7] + box[k, 5] >= limits[3]) & (np.hypot(box[k, 3], box[k, 4]) <= limits[4])
+        n, top = offsets[k + 1] - offsets[k], box[k, 7] + box[k, 5]
+        good[k] = (s.min_points <= n) & (n <= s.max_points) & (box[k, 5] <= s.max_height_m) & (top >= s.min_top_m)
+        good[k] &= np.hypot(box[k, 3], box[k, 4]) <= s.max_diagonal_m
 
 
 @kernel

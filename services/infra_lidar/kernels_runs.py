@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import kernel
-from services.infra_lidar.vectors import LANES, first_bit, lane_mask, load, whole
+from services.infra_lidar.vectors import LANES, first_bit, lane_mask, load
 
 
 @kernel

@@ -1,0 +1,130 @@
+"""From the points of a frame that are not ground to its clusters, in one compiled call: the steps of ``clustering.py``.
+
+Points that lie together by cluster stand in one of two sets of buffers; a step that regroups them writes the other.
+Whoever changes a file from which a kernel is imported has to clear the compiled ones: their cache does not notice.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.infra_lidar.jit import kernel
+from services.infra_lidar.kernels_adopt import adopt_strays
+from services.infra_lidar.kernels_clusters import join_high, join_labels, possible, regroup, spread, write_ids
+from services.infra_lidar.kernels_labels import label_points
+from services.infra_lidar.kernels_merge import merge_fragments
+from services.infra_lidar.kernels_runs import find_runs
+from services.infra_lidar.kernels_split import second_look
+
+SETTINGS = np.dtype(
+    [(name, np.float32) for name in (
+        "cell_m", "cell_growth_m", "body_m", "max_height_m", "min_top_m", "max_diagonal_m",
+    )]
+    + [(name, np.int64) for name in ("connectivity", "min_points", "max_points", "fewest", "widest")]
+    + [(name, np.bool_) for name in ("two_points", "trim", "split", "engulf", "fragments")]
+)  # fmt: skip
+INTS, FLOATS = 17, 12  # rows of scratch
+TALL_BAND_M = np.float32(0.4)  # a component with points in the top of the body band goes on above it
+TALL_SHARE = 0.03
+MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by: they can only be adopted
+
+
+@kernel
+def find_clusters(points, m, source, s, ints, floats, grid, touched, row_start, cluster_id):  # type: ignore[no-untyped-def]
+    """Clusters of m points (4, m or more) float32, x, y, z and height above the road, with index ``source`` (m,) in the
+    frame.
+
+    s: a record of ``SETTINGS``. ints (INTS, m + 1 or more) int32 and floats (FLOATS, m or more) float32 are scratch,
+    with room for a vector more; grid, touched and row_start as in ``kernels_labels``. cluster_id (N,) int32 is written.
+    Returns copies: planar (3, T) float32 of the points by cluster, offsets (K + 1,) int32, box (K, 8) float32.
+    """
+    # Components of cells that are occupied as low as a body; what is higher joins tall ones, or is on its own
+    begin, label, across = ints[0], ints[1], ints[2]
+    runs, components = _components(points, m, s.body_m, s, ints[4:9], grid, touched, row_start, begin, label, across)
+    if s.body_m < np.inf:
+        runs, components = _label_high(points, m, s, components, ints, floats, grid, touched, row_start)
+
+    # What may be a cluster or a part of one, as copies that lie together
+    number, room = ints[3], floats.shape[1]
+    sets = floats[:4].reshape(4 * room), floats[4:8].reshape(4 * room)
+    first, second = (ints[9], ints[10]), (ints[11], ints[12])  # offsets and index in the frame
+    box = np.empty((components, 8), np.float32)
+    count, total = regroup(
+        begin[: runs + 1], label[:runs], components, s.fewest, s.max_points, across[:components], s.widest, points,
+        source, number, first[0], sets[0], first[1], box,
+    )  # fmt: skip
+    grouped, offsets, index = sets[0][: 4 * total].reshape(4, total), first[0][: count + 1], first[1][:total]
+
+    # Pieces of vehicles
+    if s.fragments:
+        group, counts = np.empty(count, np.int32), offsets[1:] - offsets[:-1]
+        merge_fragments(box[:count], counts, MIN_FRAGMENT_POINTS, group)
+        adopt_strays(box[:count], counts, s.min_points, group)
+        count, total = regroup(
+            offsets, group, count, 1, total, across[:0], 0, grouped, index, number, second[0], sets[1], second[1], box
+        )
+        grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
+        first, sets = second, (sets[1], sets[0])
+        second = (ints[9], ints[10])
+
+    # Only what is of a possible size; and the article's second look
+    good = np.empty(count, np.bool_)
+    possible(box[:count], offsets, s, good)
+    again = offsets, np.where(good, np.arange(count), -1).astype(np.int32)
+    labels, change = count, not good.all()
+    if s.trim or s.split or s.engulf:
+        of_points = ints[13][:total]
+        labels = second_look(grouped, offsets, box[:count], good, s.trim, s.split, s.engulf, floats[8:12], of_points)
+        runs, change, box = _runs(of_points, begin, label), True, np.empty((labels, 8), np.float32)
+        again = begin[: runs + 1], label[:runs]
+    if change:
+        count, total = regroup(
+            again[0], again[1], labels, 1, total, across[:0], 0, grouped, index, number, second[0], sets[1], second[1],
+            box,
+        )  # fmt: skip
+        grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
+    write_ids(index, offsets, cluster_id)
+    return grouped[:3].copy(), offsets.copy(), box[:count].copy()
+
+
+@kernel
+def _components(points, n, body_m, s, scratch, grid, touched, row_start, begin, label, across):  # type: ignore[no-untyped-def]
+    return label_points(
+        points, n, body_m, s.cell_m, s.cell_growth_m, s.two_points, s.connectivity == 8, grid, touched, row_start,
+        scratch, begin, label, across,
+    )  # fmt: skip
+
+
+@kernel
+def _label_high(points, m, s, components, ints, floats, grid, touched, row_start):  # type: ignore[no-untyped-def]
+    """Give high points to tall components, and label those that join nothing: a roof behind other cars, or a canopy.
+
+    Runs, labels and extents in ints[:3] are written anew. Returns the numbers of runs and components.
+    """
+    begin, label, across, of_points, free = ints[0], ints[1], ints[2], ints[13][:m], ints[14][:m]
+    runs = 0
+    while begin[runs] < m:
+        runs += 1
+    spread(begin[: runs + 1], label[:runs], of_points)
+    band_m = s.body_m - TALL_BAND_M
+    number = join_high(of_points, points[3], components, band_m, s.body_m, TALL_SHARE, ints[15], ints[16], free)
+    if number > 0:
+        high = floats[8:12]
+        for row in range(4):
+            for i in range(number):
+                high[row, i] = points[row, free[i]]
+        more, found = _components(
+            high, number, np.float32(np.inf), s, ints[4:9], grid, touched, row_start, begin, label, across[components:]
+        )
+        join_labels(begin[: more + 1], label[:more], components, free, of_points)
+        components += found
+    return _runs(of_points, begin, label), components
+
+
+@kernel
+def _runs(of_points, begin, label):  # type: ignore[no-untyped-def]
+    """Runs of points of one label, and their labels; returns how many."""
+    runs = find_runs(of_points, begin)
+    for r in range(runs):
+        label[r] = of_points[begin[r]]
+    return runs
