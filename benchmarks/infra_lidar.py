@@ -141,14 +141,11 @@ class ArticleByKernels:
         labels = shares.argmax(axis=1)
         t = self.timed.add("forest", t)
         centres, objects = found.means, np.flatnonzero(labels)
+        names = [LABELS[i] for i in labels[objects].tolist()]
+        box, confidence = found.box[objects], shares[objects].max(axis=1, initial=0.0)
         self._stamp_ns += 100_000_000
-        self.tracker.step(
-            self._stamp_ns,
-            Detections(
-                centres[objects], found.box[objects, 3:6], found.box[objects, 6], [LABELS[i] for i in labels[objects]],
-                shares[objects].max(axis=1, initial=0.0),
-            ),
-        )  # fmt: skip
+        seen = Detections(centres[objects], box[:, 3:6], box[:, 6], names, confidence)
+        self.tracker.step(self._stamp_ns, seen)
         self.timed.add("track", t)
         return {"centres": centres, "labels": labels}
 

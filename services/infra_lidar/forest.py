@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from services.infra_lidar.jit import inline, kernel
 
 _LANES = 16
 _COLUMN_BITS = 8  # so many columns of x, and 2 ** 23 nodes, fit into a word
 _ARRAYS = ("feature", "threshold", "child", "leaf", "value", "root", "depth", "calibration_x", "calibration_y")
-_jit = njit(nogil=True, cache=True, error_model="numpy")
 
 
 class ModelError(ValueError):
@@ -132,42 +132,51 @@ def _check(forest: Forest, path: Path) -> None:
         raise ModelError(f"{path}: damaged, nodes point outside of the forest")
 
 
-@_jit
+@kernel
 def _walk(
     x: np.ndarray, nodes: np.ndarray, thresholds: np.ndarray, leaf: np.ndarray, value: np.ndarray, root: np.ndarray,
     depth: np.ndarray, out: np.ndarray,
 ) -> None:  # fmt: skip
-    trees, rows, classes = len(root), len(x), value.shape[1]
-    node, mask = np.empty(_LANES, np.uint32), np.uint32((1 << _COLUMN_BITS) - 1)
-    here = np.empty((x.shape[1], _LANES), np.float32)
+    trees, rows = len(root), len(x)
+    node, here = np.empty(_LANES, np.uint32), np.empty((x.shape[1], _LANES), np.float32)
     for start in range(0, rows, _LANES):
         lanes = min(_LANES, rows - start)
-        for lane in range(lanes):
-            for column in range(x.shape[1]):
-                number = x[start + lane, column]
-                here[column, lane] = number if number == number else np.float32(0.0)
+        _take_rows(x[start : start + lanes], here)
         for t in range(trees):
             node[:] = root[t]
-            for _ in range(depth[t]):
-                moved = np.uint32(0)
-                for lane in range(lanes):
-                    at = node[lane]
-                    word = np.uint32(nodes[at, 0])
-                    right = here[word & mask, lane] > thresholds[at, 1]
-                    node[lane] = (word >> np.uint32(_COLUMN_BITS)) + np.uint32(right)
-                    moved |= node[lane] ^ at
-                if moved == 0:  # all of them have arrived
-                    break
+            _descend(here, nodes, thresholds, depth[t], lanes, node)
             for lane in range(lanes):
                 shares = value[leaf[node[lane]]]
-                for c in range(classes):
-                    out[start + lane, c] += shares[c]
+                for c in range(len(shares)):
+                    out[start + lane, c] += shares[c] / trees
+
+
+@kernel
+def _take_rows(x: np.ndarray, here: np.ndarray) -> None:
+    """Rows to lanes; what is not a number counts as 0."""
+    for lane in range(len(x)):
+        for column in range(x.shape[1]):
+            number = x[lane, column]
+            here[column, lane] = number if number == number else np.float32(0.0)
+
+
+@inline
+def _descend(here, nodes, thresholds, depth, lanes, node):  # type: ignore[no-untyped-def]
+    """Walk down one tree with all lanes at once."""
+    mask = np.uint32((1 << _COLUMN_BITS) - 1)
+    for _ in range(depth):
+        moved = np.uint32(0)
         for lane in range(lanes):
-            for c in range(classes):
-                out[start + lane, c] /= trees
+            at = node[lane]
+            word = np.uint32(nodes[at, 0])
+            right = here[word & mask, lane] > thresholds[at, 1]
+            node[lane] = (word >> np.uint32(_COLUMN_BITS)) + np.uint32(right)
+            moved |= node[lane] ^ at
+        if moved == 0:  # all of them have arrived
+            break
 
 
-@_jit
+@kernel
 def _calibrate(shares: np.ndarray, known_x: np.ndarray, known_y: np.ndarray) -> None:
     """Forest shares (K, C) to probabilities, in place: interpolated between the measured points, summing to 1."""
     last = known_x.shape[1] - 1

@@ -14,9 +14,9 @@ from services.infra_lidar.vectors import LANES, fma, lane_max, lane_min, lane_su
 
 
 @kernel
-def regroup(
+def regroup(  # type: ignore[no-untyped-def]
     begin, label, components, fewest, most, across, widest, points, source, number, offsets, flat, grouped_source, box
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):
     """Copy the points so that those of a label lie together, label by label, and measure each of these clusters.
 
     begin (R + 1,) int: where runs of points of one label begin; label (R,) int32 in -1 .. components - 1. -1 is left

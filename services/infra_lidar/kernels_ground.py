@@ -49,9 +49,9 @@ SETTINGS = np.dtype(
 
 
 @kernel
-def find_ground(
+def find_ground(  # type: ignore[no-untyped-def]
     points, T, s, near_m, histogram, number, height, surface, accepted, x, y, z, cell, ground, others, rest
-):  # type: ignore[no-untyped-def]
+):
     """Level (N, 3+) float32 points, find the road in them, label it, and gather the rest: see the steps.
 
     s: a record of ``SETTINGS``. surface (rings, sectors, 3), accepted (rings, sectors). Returns (M, returns, those of

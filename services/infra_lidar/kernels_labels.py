@@ -27,9 +27,9 @@ def _find(parent, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def label_points(
+def label_points(  # type: ignore[no-untyped-def]
     points, n, body_m, cell_m, growth_m, two_points, eight, grid, touched, row_start, scratch, begin, label, across
-):  # type: ignore[no-untyped-def]
+):
     """Components of n points, as runs of points of one cell: begin (n + 1,) int32, where each run begins, and label
     (n,) int32, its component, -1 = none; both have room for so many or more. Returns the numbers of runs and
     components.

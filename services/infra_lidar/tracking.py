@@ -47,12 +47,17 @@ class Detections:
 
     def __post_init__(self) -> None:
         count = len(self.labels)
-        check_shape(self, "position_m", np.asarray(self.position_m), count, 3)
-        check_shape(self, "size_m", np.asarray(self.size_m), count, 3)
-        check_shape(self, "yaw_rad", np.asarray(self.yaw_rad), count)
-        check_shape(self, "confidence", np.asarray(self.confidence), count)
-        unknown = sorted(set(self.labels) - _LABEL_INDEX.keys())
-        if unknown:
+        for name, shape in (
+            ("position_m", (count, 3)),
+            ("size_m", (count, 3)),
+            ("yaw_rad", (count,)),
+            ("confidence", (count,)),
+        ):
+            value = np.asarray(getattr(self, name))
+            if value.shape != shape:
+                check_shape(self, name, value, *shape)
+        if not _LABEL_INDEX.keys() >= set(self.labels):
+            unknown = sorted(set(self.labels) - _LABEL_INDEX.keys())
             raise ValueError(f"labels: {unknown} not among {', '.join(LABELS)}")
 
     def records(self) -> np.ndarray:
@@ -61,10 +66,10 @@ class Detections:
         label = np.fromiter(map(_LABEL_INDEX.__getitem__, self.labels), np.int64, len(made))
         points = _NO_POINTS if self.points is None else np.ascontiguousarray(self.points, np.int64)
         chances = _NO_CHANCES if self.probabilities is None else self.probabilities
-        describe(
-            *(np.ascontiguousarray(a, np.float64) for a in (self.position_m, self.size_m, self.yaw_rad)), label,
-            np.ascontiguousarray(self.confidence, np.float64), points, np.ascontiguousarray(chances, np.float64), made,
-        )  # fmt: skip
+        position, size, yaw, confidence = (
+            np.ascontiguousarray(a, np.float64) for a in (self.position_m, self.size_m, self.yaw_rad, self.confidence)
+        )
+        describe(position, size, yaw, label, confidence, points, np.ascontiguousarray(chances, np.float64), made)
         return made
 
 
@@ -120,11 +125,11 @@ class MultiObjectTracker:
         # Correct the tracks that were seen; confirm, retire, found new ones from what is left, give up doubles
         self._make_room(len(seen))
         self._count, founded, given_up = conclude(
-            self._room, self._count, rows, columns, seen, dt_s, stamp_ns, self._frame % TRAIL, self._frames_back(),
+            self._room, self._count, rows, columns, seen, dt_s, stamp_ns, self._frame % TRAIL, self._ring_ns,
             self._next_id, self._blank, self._config.absorb, p,
         )  # fmt: skip
         self._next_id += founded
-        self.absorbed = dict(given_up.tolist())
+        self.absorbed = dict(given_up.tolist()) if len(given_up) else {}
 
     def messages(self) -> list[ObjectTrack]:
         """All tracks as of the last frame."""
@@ -152,10 +157,6 @@ class MultiObjectTracker:
         self._ring_ns[self._frame % TRAIL] = stamp_ns
         advance(self._tracks, stamp_ns, dt_s, self._settings)
         return dt_s
-
-    def _frames_back(self) -> int:
-        """How many of the last frames lie within ``movement_s``."""
-        return int(np.count_nonzero(self._stamp_ns - self._ring_ns <= self._config.movement_s * 1e9))
 
     def _make_room(self, more: int) -> None:
         if self._count + more > len(self._room):

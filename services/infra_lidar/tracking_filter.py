@@ -62,8 +62,8 @@ DETECTION = np.dtype(
 PARAMETERS = np.dtype(
     [(name, np.float64) for name in (
         "position_sigma_m", "height_sigma_m", "acceleration_sigma", "step_position_sigma_m", "step_velocity_sigma_mps",
-        "gate", "class_weight", "size_gain", "yaw_gain", "score_s", "vote_s", "vote_margin", "movement_m", "confirm_s",
-        "tentative_gap_s", "coast_s", "min_vote", "found_confidence",
+        "gate", "class_weight", "size_gain", "yaw_gain", "score_s", "vote_s", "vote_margin", "movement_m", "movement_s",
+        "confirm_s", "tentative_gap_s", "coast_s", "min_vote", "found_confidence",
     )]
     + [("confirm_hits", np.int64)]
     + [(name, np.bool_) for name in ("visible", "step", "distance", "hard", "mean_votes", "coast_as_known")]

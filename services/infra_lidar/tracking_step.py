@@ -60,15 +60,18 @@ def candidates(tracks: np.ndarray, seen: np.ndarray, p: Any) -> tuple[np.ndarray
 @kernel
 def conclude(
     room: np.ndarray, count: int, rows: np.ndarray, columns: np.ndarray, seen: np.ndarray, dt_s: float, stamp_ns: int,
-    slot: int, back: int, first_id: int, blank: np.ndarray, absorb: bool, p: Any,
+    slot: int, ring_ns: np.ndarray, first_id: int, blank: np.ndarray, absorb: bool, p: Any,
 ) -> tuple[int, int, np.ndarray]:  # fmt: skip
     """Correct the tracks that were seen, decide which of all move, retire, found, and give up doubles.
 
-    room: the tracks, ``count`` of them, and room for as many more as there are detections. slot: of the trail, ``back``
-    frames of which are looked at. blank (1,) ``TRACK``: a new track. Returns the number of tracks, how many of them are
-    new, and the ids (L, 2) of the doubles that were given up and of the tracks for which.
+    room: the tracks, ``count`` of them, and room for as many more as there are detections. slot: of the trail, the
+    slots of which were written at ``ring_ns``. blank (1,) ``TRACK``: a new track. Returns the number of tracks, how
+    many of them are new, and the ids (L, 2) of the doubles that were given up and of the tracks for which.
     """
     update_pairs(room[:count], rows, columns, seen, dt_s, stamp_ns, p)
+    back = 0  # frames within ``movement_s``
+    for written_ns in ring_ns:
+        back += stamp_ns - written_ns <= p.movement_s * 1e9
     judge_movement(room[:count], slot, back, p)
     count = keep(room, judge_lives(room[:count], seen, dt_s, stamp_ns, p))
     new = founders(room[:count], seen, columns, p)
