@@ -122,8 +122,10 @@ def parse_pcd(data: bytes) -> np.ndarray:
     types = [_PCD_TYPES[t, int(s)] for t, s in zip(header["TYPE"], header["SIZE"], strict=True)]
     kind = header["DATA"][0]
     if kind == "ascii":
+        if not body.strip():
+            raise FrameError("no points behind the header")
         starts = np.concatenate([[0], np.cumsum(counts)])
-        table = np.loadtxt(io.BytesIO(body), dtype=np.float64, ndmin=2, max_rows=count)
+        table = np.loadtxt(io.BytesIO(body), dtype=np.float64, comments=None, ndmin=2, max_rows=count)
         fields = {name: table[:, start] for name, start in zip(names, starts, strict=False)}
     elif kind == "binary":
         record = np.dtype([(n, t, (c,)) for n, t, c in zip(_unique(names), types, counts, strict=True)])
