@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import kernel
+from services.infra_lidar.jit import inner
 from services.infra_lidar.ordering import sort_rising
 from services.infra_lidar.vectors import LANES, lane_max, lane_min, larger, load, smaller
 
 
-@kernel
+@inner
 def low_high(values):  # type: ignore[no-untyped-def]
     """(smallest, largest) of (n,) float32, n > 0."""
     n = len(values)
@@ -28,7 +28,7 @@ def low_high(values):  # type: ignore[no-untyped-def]
     return lane_min(lowest), lane_max(highest)
 
 
-@kernel
+@inner
 def smallest_but(values, rank):  # type: ignore[no-untyped-def]
     """The value with exactly ``rank`` others before it in rising order, of (n,) float32.
 

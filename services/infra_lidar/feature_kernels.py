@@ -17,7 +17,7 @@ import numpy as np
 
 from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.feature_neighbours import in_turn, room_for, spacing
-from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.jit import inline, inner, kernel
 from services.infra_lidar.ordering import sort_rising
 from services.infra_lidar.vectors import (
     LANES,
@@ -108,7 +108,7 @@ def _all_clusters(
             out[k, _NN_STD], nearest_m[k] = spacing(scratch[:3], last - first, work, start, nearest)
 
 
-@kernel
+@inner
 def _centred(values: np.ndarray, out: np.ndarray) -> float:
     """Copy about the mean, zeros behind the last one; returns the mean."""
     n, origin = len(values), values[0]
@@ -131,7 +131,7 @@ def _centred(values: np.ndarray, out: np.ndarray) -> float:
     return origin + mean
 
 
-@kernel
+@inner
 def _one_cluster(
     scratch: np.ndarray, bins: np.ndarray, n: int, mx: float, my: float, base: float, hull: bool, row: np.ndarray
 ) -> None:
@@ -159,7 +159,7 @@ def _one_cluster(
     row[_WIDTH - 1] = 1.0
 
 
-@kernel
+@inner
 def _moments(x: np.ndarray, y: np.ndarray, z: np.ndarray, n: int) -> tuple[Any, ...]:
     """Covariances xx, yy, zz, xy, xz, yz about 0, and the smallest and largest z."""
     none = splat(np.float32(0.0))
@@ -175,7 +175,7 @@ def _moments(x: np.ndarray, y: np.ndarray, z: np.ndarray, n: int) -> tuple[Any, 
     )  # fmt: skip
 
 
-@kernel
+@inner
 def _turned(
     x: np.ndarray, y: np.ndarray, n: int, cos: float, sin: float, u: np.ndarray, v: np.ndarray
 ) -> tuple[float, float, float]:
@@ -192,7 +192,7 @@ def _turned(
     return lane_max(u_high) - lane_min(u_low), lane_max(v_high) - lane_min(v_low), lane_min(u_low)
 
 
-@kernel
+@inner
 def _axes(cxx: float, cxy: float, cyy: float) -> tuple[float, float, float]:
     """Cosine and sine of the main axis of a 2x2 covariance, and the ratio of its eigenvalues."""
     half, root = 0.5 * (cxx + cyy), math.sqrt(0.25 * (cxx - cyy) ** 2 + cxy * cxy)
@@ -200,7 +200,7 @@ def _axes(cxx: float, cxy: float, cyy: float) -> tuple[float, float, float]:
     return math.cos(angle), math.sin(angle), (half + root) / max(half - root, 1e-6)
 
 
-@kernel
+@inner
 def _eigen_columns(cxx: float, cyy: float, czz: float, cxy: float, cxz: float, cyz: float, row: np.ndarray) -> None:
     """Eigenvalues of the symmetric 3x3 covariance in closed form (Smith, CACM 1961), and what follows from them."""
     off = cxy * cxy + cxz * cxz + cyz * cyz
@@ -221,7 +221,7 @@ def _eigen_columns(cxx: float, cyy: float, czz: float, cxy: float, cxz: float, c
     row[25], row[26], row[27] = small / total, middle / total, large / total
 
 
-@kernel
+@inner
 def _rank_columns(
     z: np.ndarray, n: int, low: float, tall: float, base: float, work: np.ndarray, bins: np.ndarray, row: np.ndarray
 ) -> None:
@@ -259,7 +259,7 @@ def _rank_columns(
     row[30] = (ranks[1] - ranks[0]) / tall if tall > 1e-6 else 0.0
 
 
-@kernel
+@inner
 def _slice_columns(
     u: np.ndarray, v: np.ndarray, z: np.ndarray, n: int, low: float, high: float, row: np.ndarray
 ) -> None:
@@ -297,7 +297,7 @@ def _slice(u, v, z, n, low, high, s):  # type: ignore[no-untyped-def]
     return lane_sum(number), lane_max(u_high) - lane_min(u_low), lane_max(v_high) - lane_min(v_low)
 
 
-@kernel
+@inner
 def _hull_area(u: np.ndarray, v: np.ndarray, u_low: float, length: float) -> float:
     """Area of the bird's-eye convex hull, from the lowest and highest v in 64 columns along the length.
 
@@ -321,7 +321,7 @@ def _hull_area(u: np.ndarray, v: np.ndarray, u_low: float, length: float) -> flo
     return 0.5 * (_chain(low, seen, 1.0) + _chain(high, seen, -1.0) + _closing(low, high, seen))
 
 
-@kernel
+@inner
 def _chain(side: np.ndarray, seen: np.ndarray, sign: float) -> float:
     """Twice the signed area under a monotone hull chain (Andrew 1979); sign +1 lower, -1 upper."""
     stack = np.empty(len(seen), np.int64)
@@ -346,7 +346,7 @@ def _chain(side: np.ndarray, seen: np.ndarray, sign: float) -> float:
     return total * sign
 
 
-@kernel
+@inner
 def _closing(low: np.ndarray, high: np.ndarray, seen: np.ndarray) -> float:
     """The two edges that join the lower to the upper chain."""
     first, last = 0, len(seen) - 1

@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from services.infra_lidar.extremes import low_high
-from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.jit import inline, inner
 from services.infra_lidar.vectors import (
     LANES,
     bits,
@@ -49,7 +49,7 @@ def room_for(largest: int) -> tuple[int, int]:
     return 2 * largest + 64 + 4 * LANES, _CELLS_PER_POINT * largest + 256
 
 
-@kernel
+@inner
 def spacing(cluster, n, work, start, with_median):  # type: ignore[no-untyped-def]
     """Deviation of the mean distance to the five nearest, 0 for up to six points; median distance to the nearest, 0 for
     a single point and where it is not asked for.
@@ -65,7 +65,7 @@ def spacing(cluster, n, work, start, with_median):  # type: ignore[no-untyped-de
     return deviation, (np.median(work[5, :n]) if with_median else 0.0)
 
 
-@kernel
+@inner
 def _sort_into_cells(cluster, n, placed, cell, start):  # type: ignore[no-untyped-def]
     """Counting sort into cells, row by row; returns (layers, rows a layer, columns, cell size).
 
@@ -96,7 +96,7 @@ def _sort_into_cells(cluster, n, placed, cell, start):  # type: ignore[no-untype
     return grid
 
 
-@kernel
+@inner
 def _possible_grid(extent, cell_m, n):  # type: ignore[no-untyped-def]
     """Layers, rows, columns and cell size of a grid with cells of ``cell_m``, larger where there is no room for so
     many."""
@@ -111,7 +111,7 @@ def _possible_grid(extent, cell_m, n):  # type: ignore[no-untyped-def]
         cell_m *= max(excess ** (1.0 / 3.0), 1.03)
 
 
-@kernel
+@inner
 def _count(a, b, c, n, corner, grid, cell, start):  # type: ignore[no-untyped-def]
     """cell (n,) of each point, and where cells begin: that of cell i stands in start[i + 1]. Returns how many cells are
     occupied."""
@@ -145,7 +145,7 @@ def in_turn(i, quarter):  # type: ignore[no-untyped-def]
     return np.uint32(i) if i >= 4 * quarter else np.uint32((i & 3) * quarter + (i >> 2))
 
 
-@kernel
+@inner
 def _place(a, b, c, n, corner, cell, placed, start):  # type: ignore[no-untyped-def]
     to_a, to_b, to_c, quarter = placed[0], placed[1], placed[2], n // 4
     for i in range(n):
@@ -156,7 +156,7 @@ def _place(a, b, c, n, corner, cell, placed, start):  # type: ignore[no-untyped-
         start[k] = np.int32(at) + np.int32(1)
 
 
-@kernel
+@inner
 def _end_rows(placed, start, grid):  # type: ignore[no-untyped-def]
     layers, rows, columns, _ = grid
     for row in range(1, layers * rows + 1):
@@ -166,7 +166,7 @@ def _end_rows(placed, start, grid):  # type: ignore[no-untyped-def]
         start[row * columns] = end + _STEP - 1
 
 
-@kernel
+@inner
 def _search_all(placed, start, grid, n, mean, nearest):  # type: ignore[no-untyped-def]
     """mean, nearest (n,) float32: distance to the five nearest, and to the nearest, of the points as they are placed.
 
@@ -252,7 +252,7 @@ def _offer(a, b, c, j, x, y, z, s0, s1, s2, s3, s4, s5):  # type: ignore[no-unty
     return s0, s1, s2, s3, s4, s5
 
 
-@kernel
+@inner
 def _deviation(values, n):  # type: ignore[no-untyped-def]
     """Standard deviation of the first n of ``values``, which has room for whole vectors."""
     values[n : n + LANES] = np.float32(0.0)

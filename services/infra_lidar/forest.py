@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.jit import inline, inner, kernel
 
 _LANES = 16
 _COLUMN_BITS = 8  # so many columns of x, and 2 ** 23 nodes, fit into a word
@@ -151,7 +151,7 @@ def _walk(
                     out[start + lane, c] += shares[c] / trees
 
 
-@kernel
+@inner
 def _take_rows(x: np.ndarray, here: np.ndarray) -> None:
     """Rows to lanes; what is not a number counts as 0."""
     for lane in range(len(x)):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.jit import inline, inner, kernel
 from services.infra_lidar.kernels_merge import LARGE_GAP_M, LARGE_LENGTH_M, LARGE_TOP_M, SMALL_TOP_M
 from services.infra_lidar.ordering import rising
 
@@ -21,7 +21,7 @@ OUTLINE_SHARE = 0.7
 TURNS_RAD = np.array([0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12])  # directions to try about that of a group
 
 
-@kernel
+@inner
 def _interval(box, k, c, s):  # type: ignore[no-untyped-def]
     """Extent of footprint k along the direction (c, s) and across it."""
     u, v = c * box[k, 0] + s * box[k, 1], c * box[k, 1] - s * box[k, 0]
@@ -40,7 +40,7 @@ def _longest_gap(box, k, c, s):  # type: ignore[no-untyped-def]
     return min(LARGE_GAP_M, (CROSS_M + CROSS_SLOPE * distance) / max(sine, 1e-3))
 
 
-@kernel
+@inner
 def _grow(box, members, strays, yaw, strict, taken):  # type: ignore[no-untyped-def]
     """Mark the strays that the members grow by along ``yaw``; returns how many.
 
@@ -75,7 +75,7 @@ def _grow(box, members, strays, yaw, strict, taken):  # type: ignore[no-untyped-
     return _keep_outline(box, strays, c, s, v0, v1, top, taken) if strict else number
 
 
-@kernel
+@inner
 def _keep_outline(box, strays, c, s, v0, v1, top, taken):  # type: ignore[no-untyped-def]
     """Keep of the taken those on a side or on the roof; all go where those are few. Returns how many are left."""
     number, on = 0, 0
@@ -92,7 +92,7 @@ def _keep_outline(box, strays, c, s, v0, v1, top, taken):  # type: ignore[no-unt
     return on
 
 
-@kernel
+@inner
 def _near(box, core, loose, size, group, min_points):  # type: ignore[no-untyped-def]
     """Pieces that are still loose, within a vehicle's length of piece ``core``."""
     near, number = np.empty(len(loose), np.int64), 0
@@ -104,7 +104,7 @@ def _near(box, core, loose, size, group, min_points):  # type: ignore[no-untyped
     return near[:number]
 
 
-@kernel
+@inner
 def _best(box, members, strays):  # type: ignore[no-untyped-def]
     """(S,) bool: the strays that the members take in the direction in which they take most."""
     taken, best = np.zeros(len(strays), np.bool_), np.zeros(len(strays), np.bool_)

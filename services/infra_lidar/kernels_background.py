@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.jit import inline, inner, kernel
 from services.infra_lidar.kernels_returns import BLOCK, PI, angle, columns_of, whole_block
 from services.infra_lidar.vectors import (
     LANES,
@@ -123,7 +123,7 @@ def settle(low, high, count, switches, frames, columns, rows, min_share, toleran
     return known
 
 
-@kernel
+@inner
 def _choose(low, high, count, switches, frames, min_share, chosen):  # type: ignore[no-untyped-def]
     """The one or two modes of a cell that are background, -1 = none."""
     total, best, second, behind = 0, 0, -1, 0
@@ -162,7 +162,7 @@ def pack(bounds, road, packed):  # type: ignore[no-untyped-def]
         packed[c, 0] |= ROAD if road[c] else np.int32(0)
 
 
-@kernel
+@inner
 def _step(squared):  # type: ignore[no-untyped-def]
     """A squared range as one of 32768 steps, each 0.05 % of the range: exponent and ten bits of the float, which are in
     the order of the numbers. What is no number is the last step."""

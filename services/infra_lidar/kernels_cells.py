@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.jit import inline, inner, kernel
 from services.infra_lidar.vectors import (
     LANES,
     floor,
@@ -59,7 +59,7 @@ def _cell(x, y, table, per_m, grows, side):  # type: ignore[no-untyped-def]
     return smaller(larger(row, 0), last), smaller(larger(column, 0), last)
 
 
-@kernel
+@inner
 def _scale_table(cell_m, growth_m, side):  # type: ignore[no-untyped-def]
     """f(r) / r at STEPS + 1 ranges, to be interpolated: a logarithm per point takes longer than all the rest.
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.extremes import low_high
-from services.infra_lidar.jit import inline, kernel, sum_kernel
+from services.infra_lidar.jit import inline, inner, sum_kernel
 from services.infra_lidar.vectors import LANES, fma, lane_max, lane_min, lane_sum, larger, load, smaller, splat, store
 
 
-@kernel
+@inner
 def regroup(  # type: ignore[no-untyped-def]
     begin, label, components, fewest, most, across, widest, points, source, number, offsets, flat, grouped_source, box
 ):
@@ -32,7 +32,7 @@ def regroup(  # type: ignore[no-untyped-def]
     return clusters, total
 
 
-@kernel
+@inner
 def _number_clusters(begin, label, components, fewest, most, across, widest, number, offsets):  # type: ignore[no-untyped-def]
     """number (components,): the cluster that a label becomes, -1 = left out. Returns (clusters, points)."""
     number[:components] = 0
@@ -52,7 +52,7 @@ def _number_clusters(begin, label, components, fewest, most, across, widest, num
     return clusters, total
 
 
-@kernel
+@inner
 def _arrange(begin, label, number, offsets, points, source, there, there_source):  # type: ignore[no-untyped-def]
     """A stable counting sort by ``number[label]``, run by run; runs of one label, one behind the other, at once."""
     slot, r = offsets.copy(), 0
@@ -82,7 +82,7 @@ def _copy(values, first, n, out, to):  # type: ignore[no-untyped-def]
     store(out, to + n - LANES, load(values, first + n - LANES))  # once more what is left over
 
 
-@kernel
+@inner
 def _moments(x, y):  # type: ignore[no-untyped-def]
     """Sums of x, y, x x, x y, y y about the first point."""
     n, x0, y0, none = len(x), x[0], y[0], splat(np.float32(0.0))
@@ -98,7 +98,7 @@ def _moments(x, y):  # type: ignore[no-untyped-def]
     return mx, my, mxx, mxy, myy
 
 
-@kernel
+@inner
 def _extents_along(x, y, c, s):  # type: ignore[no-untyped-def]
     """Smallest and largest place along (c, s) and across it, about the first point."""
     n, x0, y0, none = len(x), x[0], y[0], splat(np.float32(0.0))
@@ -115,7 +115,7 @@ def _extents_along(x, y, c, s):  # type: ignore[no-untyped-def]
     return u0, u1, v0, v1
 
 
-@kernel
+@inner
 def measure(points, offsets, box):  # type: ignore[no-untyped-def]
     """Oriented extents of clusters whose points lie together: cluster k is offsets[k] to offsets[k + 1].
 
@@ -148,7 +148,7 @@ def measure(points, offsets, box):  # type: ignore[no-untyped-def]
         box[k, 7] = a0
 
 
-@kernel
+@inner
 def join_high(label, above, components, band_m, body_m, share, in_band, total, free):  # type: ignore[no-untyped-def]
     """Points higher than ``body_m`` stay with a component that reaches the top of the body band, band_m to body_m: they
     belong to it, not to a tree above. Others become -1.
@@ -174,7 +174,7 @@ def join_high(label, above, components, band_m, body_m, share, in_band, total, f
     return number
 
 
-@kernel
+@inner
 def join_labels(begin, found, by, free, label):  # type: ignore[no-untyped-def]
     """label (M,) of the points ``free`` (F,): what was ``found`` for runs of them, raised by ``by``, or -1."""
     for r in range(len(found)):
@@ -183,7 +183,7 @@ def join_labels(begin, found, by, free, label):  # type: ignore[no-untyped-def]
             label[free[i]] = k
 
 
-@kernel
+@inner
 def possible(box, offsets, s, good):  # type: ignore[no-untyped-def]
     """good (K,) bool: clusters of a possible size; s: settings, as in ``kernels_steps``."""
     for k in range(box.shape[0]):
@@ -192,14 +192,14 @@ def possible(box, offsets, s, good):  # type: ignore[no-untyped-def]
         good[k] &= np.hypot(box[k, 3], box[k, 4]) <= s.max_diagonal_m
 
 
-@kernel
+@inner
 def spread(begin, label, out):  # type: ignore[no-untyped-def]
     """out (N,): the label of each point, from those of runs."""
     for r in range(len(label)):
         out[begin[r] : begin[r + 1]] = label[r]
 
 
-@kernel
+@inner
 def write_ids(source, offsets, cluster_id):  # type: ignore[no-untyped-def]
     """cluster_id (N,) of the frame, from the index of points that lie together by cluster."""
     cluster_id[:] = -1

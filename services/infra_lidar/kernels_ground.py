@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.jit import inline, inner, kernel
 from services.infra_lidar.kernels_returns import BLOCK, PI, angle, columns_of, whole_block
 from services.infra_lidar.kernels_surface import flat_surface, sloped_surface
 from services.infra_lidar.vectors import (
@@ -89,7 +89,7 @@ def _height_of(place):  # type: ignore[no-untyped-def]
     return near / FINE_PER_M + (place - near) / COARSE_PER_M
 
 
-@kernel
+@inner
 def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-untyped-def]
     """Rotate and shift (N, 3+) float32 sensor-frame points into planar level-frame x, y, z (N,) float32.
 
@@ -128,7 +128,7 @@ def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-un
     return lane_sum(returns), lane_sum(near)
 
 
-@kernel
+@inner
 def level_planar(sensor, n, T, s, x, y, z, cell):  # type: ignore[no-untyped-def]
     """The same for n returns that are planar already, sensor (3, n or more) float32, and not counted."""
     a, b, c, grid = sensor[0], sensor[1], sensor[2], _polar_grid(s)
@@ -173,7 +173,7 @@ def _bin_place(height):  # type: ignore[no-untyped-def]
     return fma(near, np.float32(FINE_PER_M), (height - near) * np.float32(COARSE_PER_M))
 
 
-@kernel
+@inner
 def cell_heights(histogram, s, number, height):  # type: ignore[no-untyped-def]
     """Low percentile of each cell's heights by selection, rank max(1, int(percentile n)); NaN where too few points.
 
@@ -217,7 +217,7 @@ def _bin_of(histogram, fours, c, rank):  # type: ignore[no-untyped-def]
     return b, seen
 
 
-@kernel
+@inner
 def label_ground(x, y, z, cell, surface, s, ground, points, rest):  # type: ignore[no-untyped-def]
     """Label ground and gather the rest.
 
@@ -249,7 +249,7 @@ def label_ground(x, y, z, cell, surface, s, ground, points, rest):  # type: igno
     return m
 
 
-@kernel
+@inner
 def _planes(surface):  # type: ignore[no-untyped-def]
     """(3, cells + 1) of the planes, the first for clipped points: no height compares with NaN. And: are all level?"""
     planes, flat = np.full((3, surface.shape[0] + 1), NOT_A_NUMBER), True

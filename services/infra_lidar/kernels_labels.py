@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.jit import inline, inner, kernel
 from services.infra_lidar.kernels_cells import grid_cells
 from services.infra_lidar.kernels_runs import find_runs
 from services.infra_lidar.vectors import bit_count, first_bit
@@ -26,7 +26,7 @@ def _find(parent, i):  # type: ignore[no-untyped-def]
     return i
 
 
-@kernel
+@inner
 def label_points(  # type: ignore[no-untyped-def]
     points, n, body_m, cell_m, growth_m, two_points, eight, grid, touched, row_start, scratch, begin, label, across
 ):
@@ -63,7 +63,7 @@ def cell_key(row, column, words, fills):  # type: ignore[no-untyped-def]
     return np.int32(2) * (np.int32(row) * np.int32(64 * words) + np.int32(column)) + np.int32(fills)
 
 
-@kernel
+@inner
 def _clear(grid, touched):  # type: ignore[no-untyped-def]
     """Take back what the last frame left."""
     for r in range(touched.shape[0]):
@@ -162,7 +162,7 @@ def number_components(parent, runs):  # type: ignore[no-untyped-def]
     return components
 
 
-@kernel
+@inner
 def _measure_across(parent, first, last, row_start, components, across):  # type: ignore[no-untyped-def]
     top, left, right = np.full(components, -1, np.int32), np.empty(components, np.int32), np.empty(components, np.int32)
     for r in range(row_start.shape[0] - 1):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.jit import inline, inner
 from services.infra_lidar.ordering import rising
 
 SMALL_LENGTH_M, SMALL_WIDTH_M, SMALL_TOP_M = 5.3, 2.2, 2.2
@@ -29,7 +29,7 @@ def _corner(box, k, i):  # type: ignore[no-untyped-def]
     return box[k, 0] + c * u - s * v, box[k, 1] + s * u + c * v
 
 
-@kernel
+@inner
 def _gap(box, a, b):  # type: ignore[no-untyped-def]
     """Distance of footprints: the smallest from a corner of one to the other."""
     nearest = np.inf
@@ -45,7 +45,7 @@ def _gap(box, a, b):  # type: ignore[no-untyped-def]
     return nearest
 
 
-@kernel
+@inner
 def _extent(box, members, yaw):  # type: ignore[no-untyped-def]
     """Length along ``yaw`` and width across it of all corners of the members."""
     c, s = np.cos(yaw), np.sin(yaw)
@@ -59,7 +59,7 @@ def _extent(box, members, yaw):  # type: ignore[no-untyped-def]
     return u1 - u0, v1 - v0
 
 
-@kernel
+@inner
 def _fits(box, members, a, b, gap):  # type: ignore[no-untyped-def]
     """Whether the members, of which a and b are ``gap`` apart, can be one vehicle."""
     top, low_top = 0.0, np.inf
@@ -91,7 +91,7 @@ def _fits(box, members, a, b, gap):  # type: ignore[no-untyped-def]
     return width <= max(side_a, side_b) + SIDE_STEP_M
 
 
-@kernel
+@inner
 def _vulnerable(box, k):  # type: ignore[no-untyped-def]
     """A piece with the outline of a person, or as narrow as a cyclist and taller than most cars."""
     top = box[k, 7] + box[k, 5]
@@ -102,7 +102,7 @@ def _vulnerable(box, k):  # type: ignore[no-untyped-def]
     return person | cyclist
 
 
-@kernel
+@inner
 def merge_fragments(box, counts, min_count, group):  # type: ignore[no-untyped-def]
     """Group number of each of K components, by union of fitting neighbours; components under ``min_count`` stay out.
 
@@ -127,7 +127,7 @@ def merge_fragments(box, counts, min_count, group):  # type: ignore[no-untyped-d
                 group[k] = min(ga, gb)
 
 
-@kernel
+@inner
 def _usable(box, counts, min_count):  # type: ignore[no-untyped-def]
     """Pieces that may be part of a vehicle, by the left end of their footprint."""
     chosen, left, n = np.empty(len(counts), np.int64), np.empty(len(counts)), 0
@@ -142,7 +142,7 @@ def _usable(box, counts, min_count):  # type: ignore[no-untyped-def]
     return order
 
 
-@kernel
+@inner
 def _near_pairs(box, usable):  # type: ignore[no-untyped-def]
     """Pairs of pieces no farther apart than the widest gap, with the gap; ``usable`` is sorted by left end."""
     pairs = np.empty((16 * len(usable) + 16, 2), np.int64)

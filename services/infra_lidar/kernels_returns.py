@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inline, kernel
+from services.infra_lidar.jit import inline, inner
 from services.infra_lidar.vectors import LANES, every, fma, gather, lanes, larger, magnitude, select, smaller
 
 PI, HALF_PI = np.float32(np.pi), np.float32(np.pi / 2)
@@ -30,7 +30,7 @@ def columns_of(flat, at, width):  # type: ignore[no-untyped-def]
     return gather(flat, row), gather(flat, row + 1), gather(flat, row + 2), gather(flat, row + 4)
 
 
-@kernel
+@inner
 def whole_block(flat, width, start, n):  # type: ignore[no-untyped-def]
     """A block's rows so that whole vectors can be read: the array and where they begin in it.
 

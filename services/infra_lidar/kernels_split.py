@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from services.infra_lidar.extremes import low_high, smallest_but
-from services.infra_lidar.jit import kernel, sum_kernel
+from services.infra_lidar.jit import inner, sum_kernel
 from services.infra_lidar.vectors import LANES, lane_max, lane_min, larger, load, select, smaller, splat
 
 BINS = 29  # along the main axis, between 30 edges
@@ -20,7 +20,7 @@ TRIM_ABOVE_ROAD_M, TRIM_MIN_HEIGHT_M, TRIM_SHARE = 0.25, 0.5, 0.05
 FAR_M = np.float32(1e9)
 
 
-@kernel
+@inner
 def second_look(points, offsets, box, good, trim, split, engulf, scratch, label):  # type: ignore[no-untyped-def]
     """Label the points of clusters that are ``good`` (K,) bool, trimmed, cut and joined if so wanted; others become -1.
 
@@ -48,7 +48,7 @@ def second_look(points, offsets, box, good, trim, split, engulf, scratch, label)
     return total
 
 
-@kernel
+@inner
 def _foot_m(z, box):  # type: ignore[no-untyped-def]
     """Up to where the lowest twentieth of a cluster that stands on the road reaches: that is road. As in the article,
     the road is that of the calibration, z = 0."""
@@ -57,7 +57,7 @@ def _foot_m(z, box):  # type: ignore[no-untyped-def]
     return smallest_but(z, int(TRIM_SHARE * len(z)))
 
 
-@kernel
+@inner
 def _label_above(z, limit, label):  # type: ignore[no-untyped-def]
     """The label of points not higher than ``limit`` becomes -1; returns how many are higher."""
     number = np.int32(0)
@@ -68,7 +68,7 @@ def _label_above(z, limit, label):  # type: ignore[no-untyped-def]
     return number
 
 
-@kernel
+@inner
 def _extent_above(values, z, limit):  # type: ignore[no-untyped-def]
     """Smallest and largest of the values (n,) float32 of the points higher than ``limit``."""
     n, none = len(z), splat(FAR_M)
@@ -83,7 +83,7 @@ def _extent_above(values, z, limit):  # type: ignore[no-untyped-def]
     return low, high
 
 
-@kernel
+@inner
 def _keep(x, y, z, label, kept):  # type: ignore[no-untyped-def]
     """Copies of the points that are labelled, planar in ``kept``; returns how many."""
     n, to_x, to_y, to_z = np.uint64(0), kept[0], kept[1], kept[2]
@@ -93,7 +93,7 @@ def _keep(x, y, z, label, kept):  # type: ignore[no-untyped-def]
     return n
 
 
-@kernel
+@inner
 def _split_row(x, y, z, label, own, total, extent, count):  # type: ignore[no-untyped-def]
     """Cut an elongated cluster of a person's height at gaps along its main axis, if the pieces look like people.
 
@@ -152,7 +152,7 @@ def _covariance(x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@kernel
+@inner
 def _main_axis(x, y, z):  # type: ignore[no-untyped-def]
     """(linearity (l1 - l2) / (l1 + l2 + l3), unit vector) of the points' covariance.
 
@@ -179,7 +179,7 @@ def _main_axis(x, y, z):  # type: ignore[no-untyped-def]
     return (first - second) / max(3.0 * mean, 1e-12), axis
 
 
-@kernel
+@inner
 def _pieces(x, y, z, axis, piece):  # type: ignore[no-untyped-def]
     """piece (n,) of each point: cuts in the middle of each run of nearly empty bins. Returns the number of pieces."""
     n = len(piece)
@@ -207,7 +207,7 @@ def _pieces(x, y, z, axis, piece):  # type: ignore[no-untyped-def]
     return count + 1
 
 
-@kernel
+@inner
 def _name_pieces(x, y, z, piece, pieces, total):  # type: ignore[no-untyped-def]
     """Number of each piece, from ``total`` on: those that look like people get numbers of their own, the rest another
     one, or -1 where it is too small or too large. None where it is not people side by side."""
@@ -231,7 +231,7 @@ def _name_pieces(x, y, z, piece, pieces, total):  # type: ignore[no-untyped-def]
     return number
 
 
-@kernel
+@inner
 def _is_person(x, y, z):  # type: ignore[no-untyped-def]
     """The article's test of a piece: as tall and as wide as one person, with points all the way up."""
     n = len(z)
@@ -253,7 +253,7 @@ def _is_person(x, y, z):  # type: ignore[no-untyped-def]
     return math.sqrt(spread / 4.0) / mean <= 1.5
 
 
-@kernel
+@inner
 def _join_engulfed(extent, count, label):  # type: ignore[no-untyped-def]
     """A cluster whose box lies inside another's, with less than half of its points, joins it: its label changes.
 

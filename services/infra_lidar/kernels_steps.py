@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import kernel
+from services.infra_lidar.jit import inner, kernel
 from services.infra_lidar.kernels_adopt import adopt_strays
 from services.infra_lidar.kernels_clusters import join_high, join_labels, possible, regroup, spread, write_ids
 from services.infra_lidar.kernels_labels import label_points
@@ -87,7 +87,7 @@ def find_clusters(points, m, source, s, ints, floats, grid, touched, row_start, 
     return grouped[:3].copy(), offsets.copy(), box[:count].copy()
 
 
-@kernel
+@inner
 def _components(points, n, body_m, s, scratch, grid, touched, row_start, begin, label, across):  # type: ignore[no-untyped-def]
     return label_points(
         points, n, body_m, s.cell_m, s.cell_growth_m, s.two_points, s.connectivity == 8, grid, touched, row_start,
@@ -95,7 +95,7 @@ def _components(points, n, body_m, s, scratch, grid, touched, row_start, begin, 
     )  # fmt: skip
 
 
-@kernel
+@inner
 def _label_high(points, m, s, components, ints, floats, grid, touched, row_start):  # type: ignore[no-untyped-def]
     """Give high points to tall components, and label those that join nothing: a roof behind other cars, or a canopy.
 
@@ -121,7 +121,7 @@ def _label_high(points, m, s, components, ints, floats, grid, touched, row_start
     return _runs(of_points, begin, label), components
 
 
-@kernel
+@inner
 def _runs(of_points, begin, label):  # type: ignore[no-untyped-def]
     """Runs of points of one label, and their labels; returns how many."""
     runs = find_runs(of_points, begin)

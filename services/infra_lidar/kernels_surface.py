@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import kernel
+from services.infra_lidar.jit import inner, kernel
 
 
-@kernel
+@inner
 def flat_surface(height, s, surface, accepted):  # type: ignore[no-untyped-def]
     """The article's rule: the cell's own height if it is near the calibration plane, else the plane.
 
@@ -25,7 +25,7 @@ def flat_surface(height, s, surface, accepted):  # type: ignore[no-untyped-def]
             surface[r, k, 2] = 0.0
 
 
-@kernel
+@inner
 def sloped_surface(height, s, surface, accepted):  # type: ignore[no-untyped-def]
     """Walk outward from the pole, accept cells that continue the road, then fit a tangent plane per cell.
 
@@ -73,7 +73,7 @@ def sloped_surface(height, s, surface, accepted):  # type: ignore[no-untyped-def
     _tangent_planes(filled, trust, ring_m, surface)
 
 
-@kernel
+@inner
 def _tangent_planes(filled, trust, ring_m, surface):  # type: ignore[no-untyped-def]
     """Plane through each cell's height with the slope of its 3 x 3 neighbourhood, weighted by trust."""
     rings, sectors = filled.shape

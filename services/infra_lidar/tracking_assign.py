@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from services.infra_lidar.jit import kernel
+from services.infra_lidar.jit import inner, kernel
 from services.infra_lidar.ordering import rising
 from services.infra_lidar.tracking_filter import innovation
 
@@ -99,7 +99,7 @@ def allowed_pairs(tracks: np.ndarray, detections: np.ndarray, p: Any) -> tuple[n
     return rows[:found], columns[:found], costs[:found]
 
 
-@kernel
+@inner
 def _reach(track: Any, p: Any) -> float:
     """How far from the track, along x or y, the centre of a point-like detection may lie and pass the gate."""
     sigma = p.position_sigma_m
@@ -108,7 +108,7 @@ def _reach(track: Any, p: Any) -> float:
     return own + 1.45 * math.sqrt(spread * p.gate)
 
 
-@kernel
+@inner
 def _pair_cost(track: Any, detection: Any, reach: float, p: Any) -> float:
     """Cost of one pair, ``FORBIDDEN`` outside the gate."""
     mean, cov, position = track.mean, track.cov, detection.position
@@ -135,7 +135,7 @@ def _pair_cost(track: Any, detection: Any, reach: float, p: Any) -> float:
     return d2 + math.log(det * szz) - p.class_weight * math.log(same / total + 0.02)
 
 
-@kernel
+@inner
 def another_size(known: np.ndarray, seen: np.ndarray) -> bool:
     """A track may lose most of its visible part, but does not become several times as large in one turn."""
     return max(seen[0], seen[1]) > 2.5 * max(known[0], known[1]) + 1.0

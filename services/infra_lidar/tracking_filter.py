@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from services.infra_lidar.jit import kernel
+from services.infra_lidar.jit import inner, kernel
 from services.infra_lidar.tracking_config import TrackingConfig
 
 TRAIL = 16  # remembered positions
@@ -108,7 +108,7 @@ def predict(tracks: np.ndarray, dt_s: float, p: Any) -> None:
             cov[i + 3, i + 3] += on_speed
 
 
-@kernel
+@inner
 def extents_along(size: np.ndarray, yaw: float, track_yaw: float) -> tuple[float, float]:
     """Length and width of a measured box along the nearest axes of the track: a box has four equal headings."""
     turn = (yaw - track_yaw) / (0.5 * math.pi)

@@ -9,14 +9,14 @@ import numpy as np
 
 from common.messages import ObjectTrack
 from services.infra_lidar.classes import LABELS, UNKNOWN
-from services.infra_lidar.jit import kernel
+from services.infra_lidar.jit import inner, kernel
 from services.infra_lidar.tracking_shape import note_place, strength, vote
 
 _DRIFT_NS = 200_000_000  # for so long a lost track goes on with what is known of its velocity, moving or not
 _STATES: tuple[Literal["tentative", "confirmed", "coasting"], ...] = ("tentative", "confirmed", "coasting")
 
 
-@kernel
+@inner
 def begin_frame(tracks: np.ndarray, stamp_ns: int) -> None:
     """No track has a detection yet. What stood as far as anybody can tell, and is lost, does not drift on with the
     noise of its velocity."""
@@ -27,7 +27,7 @@ def begin_frame(tracks: np.ndarray, stamp_ns: int) -> None:
             track.mean[3:] = 0.0
 
 
-@kernel
+@inner
 def judge_lives(tracks: np.ndarray, detections: np.ndarray, dt_s: float, stamp_ns: int, p: Any) -> np.ndarray:
     """Score and confirm every track, in place; (N,) bool: which of them live on.
 
@@ -49,7 +49,7 @@ def judge_lives(tracks: np.ndarray, detections: np.ndarray, dt_s: float, stamp_n
     return alive
 
 
-@kernel
+@inner
 def found(
     new: np.ndarray, detections: np.ndarray, founders: np.ndarray, first_id: int, stamp_ns: int, slot: int, p: Any
 ) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from services.infra_lidar.classes import BACKGROUND, CLASSES
-from services.infra_lidar.jit import kernel
+from services.infra_lidar.jit import inner
 from services.infra_lidar.ordering import rising
 from services.infra_lidar.tracking_assign import another_size
 
@@ -21,7 +21,7 @@ _CYCLIST, _PEDESTRIAN = CLASSES.index("cyclist"), CLASSES.index("pedestrian")
 _BREAKABLE_M2 = 2.0  # a vehicle may fall apart into pieces; two people who part are two people
 
 
-@kernel
+@inner
 def founders(tracks: np.ndarray, detections: np.ndarray, taken: np.ndarray, p: Any) -> np.ndarray:
     """Indices of the detections that may found a track: nobody has ``taken`` them, sure enough, no background,
     no piece of a whole."""
@@ -36,7 +36,7 @@ def founders(tracks: np.ndarray, detections: np.ndarray, taken: np.ndarray, p: A
     return np.flatnonzero(free)
 
 
-@kernel
+@inner
 def _claim_pieces(track: Any, detections: np.ndarray, free: np.ndarray) -> None:
     """A detection inside the box of a confirmed track that was seen in this frame, smaller than it, and maybe of its
     class, is a piece of an object that the clustering broke: it is not free."""
@@ -56,7 +56,7 @@ def _claim_pieces(track: Any, detections: np.ndarray, free: np.ndarray) -> None:
             free[d] = same <= _SAME_CLASS * total
 
 
-@kernel
+@inner
 def absorb_doubles(tracks: np.ndarray) -> np.ndarray:
     """(N,) int64: -1, or the index of the track that this one is given up for. Two vehicles cannot be in one place:
     where two tracks that go the same way share much of the smaller one's box, the older one lives on, with the box and
@@ -80,7 +80,7 @@ def absorb_doubles(tracks: np.ndarray) -> np.ndarray:
     return into
 
 
-@kernel
+@inner
 def _absorb(tracks: np.ndarray, one: int, other: int, into: np.ndarray) -> None:
     """The confirmed one lives on; of two confirmed ones the older one."""
     a, b = one, other
@@ -98,14 +98,14 @@ def _absorb(tracks: np.ndarray, one: int, other: int, into: np.ndarray) -> None:
             _take_over(keeper, double)
 
 
-@kernel
+@inner
 def _vehicle(track: Any) -> bool:
     """Large enough, and hardly a person on foot or on a bicycle."""
     people = track.votes[_CYCLIST] + track.votes[_PEDESTRIAN]
     return people < 0.4 * track.votes.sum()
 
 
-@kernel
+@inner
 def _goes_with(piece: Any, whole: Any) -> bool:
     """Of a size that may be one with it, and the same velocity as far as can be told. Pieces change shape, so their
     velocity is rough; a young track that has not shown movement has none to compare."""
@@ -119,7 +119,7 @@ def _goes_with(piece: Any, whole: Any) -> bool:
     return math.hypot(du, dv) < 1.0 + 0.5 * speed
 
 
-@kernel
+@inner
 def _shared(first: Any, second: Any) -> float:
     """Share of the smaller box's footprint that lies in the larger one's, by 5 x 5 points."""
     small, large = first, second
@@ -140,7 +140,7 @@ def _shared(first: Any, second: Any) -> float:
     return inside / 25.0
 
 
-@kernel
+@inner
 def _take_over(track: Any, better: Any) -> None:
     """Identity, age, votes and score stay; place, movement, box and detection are the other one's."""
     for i in range(6):  # spelled out: whole-array assignments take the compiler seconds

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from services.infra_lidar.classes import BACKGROUND
-from services.infra_lidar.jit import kernel
+from services.infra_lidar.jit import inner
 from services.infra_lidar.tracking_filter import TRAIL, correct, edge_shift, extents_along, innovation
 
 _MIN_PRESENCE = 0.45
@@ -28,7 +28,7 @@ _LONG_M = 2.0  # smaller boxes have no direction to speak of
 _HEADING_MPS = 1.5  # from this speed on the heading is where the track goes
 
 
-@kernel
+@inner
 def update_pairs(
     tracks: np.ndarray, rows: np.ndarray, columns: np.ndarray, detections: np.ndarray, dt_s: float, stamp_ns: int,
     p: Any,
@@ -52,7 +52,7 @@ def update_pairs(
         track.detection = columns[i]
 
 
-@kernel
+@inner
 def vote(track: Any, seen: Any, keep: float, p: Any) -> None:
     """Add a detection's word on the class; the label changes when another class leads by the margin."""
     for c in range(len(track.votes)):
@@ -71,7 +71,7 @@ def vote(track: Any, seen: Any, keep: float, p: Any) -> None:
         track.label = best
 
 
-@kernel
+@inner
 def strength(track: Any, label: int) -> float:
     """How much of the votes a class has; 0 for "unknown"."""
     if label >= len(track.votes) or track.vote_count[label] == 0.0:
@@ -79,7 +79,7 @@ def strength(track: Any, label: int) -> float:
     return min(track.votes[label] / track.vote_count[label], 1.0)
 
 
-@kernel
+@inner
 def _follow_size(
     track: Any, box: np.ndarray, box_yaw: float, left_x: float, left_y: float, gain: float, visible: bool
 ) -> None:
@@ -98,7 +98,7 @@ def _follow_size(
     track.mean[1] += s * along + c * across
 
 
-@kernel
+@inner
 def _resize(size: np.ndarray, axis: int, measured: float, left: float, gain: float, visible: bool) -> float:
     shrink = 0.1 if size[axis] > 1.5 else 0.5
     rate = gain if measured > size[axis] or not visible else shrink * gain
@@ -108,7 +108,7 @@ def _resize(size: np.ndarray, axis: int, measured: float, left: float, gain: flo
     return min(max(left, -room), room)
 
 
-@kernel
+@inner
 def _follow_yaw(track: Any, yaw: float, gain: float, visible: bool) -> None:
     """Turn towards the measured box, or towards where the track goes once it is under way."""
     vx, vy = track.mean[3], track.mean[4]
@@ -126,12 +126,12 @@ def _follow_yaw(track: Any, yaw: float, gain: float, visible: bool) -> None:
     track.yaw = _wrap(track.yaw + gain * _wrap(turn))
 
 
-@kernel
+@inner
 def _wrap(angle: float) -> float:
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-@kernel
+@inner
 def note_place(track: Any, slot: int) -> None:
     """Write centre and axis-parallel half extents into a slot of the trail."""
     c, s, place = abs(math.cos(track.yaw)), abs(math.sin(track.yaw)), track.trail[slot]
@@ -141,14 +141,14 @@ def note_place(track: Any, slot: int) -> None:
     place[4] = track.yaw
 
 
-@kernel
+@inner
 def note_places(tracks: np.ndarray, slot: int) -> None:
     """The same for all of them."""
     for t in range(len(tracks)):
         note_place(tracks[t], slot)
 
 
-@kernel
+@inner
 def _way(now: np.ndarray, then: np.ndarray) -> float:
     """How far the edges say it has come."""
     along, _ = edge_shift(now[0] - then[0], 2.0 * now[2], 2.0 * then[2])
@@ -156,13 +156,13 @@ def _way(now: np.ndarray, then: np.ndarray) -> float:
     return math.hypot(along, across)
 
 
-@kernel
+@inner
 def _turned(angle: float) -> float:
     """How far a box has turned; a quarter of a circle is none."""
     return abs(angle - 0.5 * math.pi * math.floor(angle / (0.5 * math.pi) + 0.5))
 
 
-@kernel
+@inner
 def judge_movement(tracks: np.ndarray, slot: int, back: int, p: Any) -> None:
     """Write the present place into ring slot ``slot`` and decide who moves; ``back`` frames are looked at."""
     for t in range(len(tracks)):
@@ -178,7 +178,7 @@ def judge_movement(tracks: np.ndarray, slot: int, back: int, p: Any) -> None:
             track.moving = _moves(track, slot, steps, p.movement_m)
 
 
-@kernel
+@inner
 def _moves(track: Any, slot: int, steps: int, movement_m: float) -> bool:
     """Has it come far enough in the last ``steps`` frames, straight and without a jump?"""
     net = _way(track.trail[slot], track.trail[(slot - steps) % TRAIL])

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from services.infra_lidar.classes import CLASSES
-from services.infra_lidar.jit import kernel
+from services.infra_lidar.jit import inner, kernel
 from services.infra_lidar.ordering import rising
 
 _CYCLIST, _PEDESTRIAN = CLASSES.index("cyclist"), CLASSES.index("pedestrian")
@@ -70,13 +70,13 @@ def _cuts(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, np.nd
     return source[:pieces], owner[:pieces], low[:pieces], high[:pieces]
 
 
-@kernel
+@inner
 def _is_person(track: Any) -> bool:
     people = track.votes[_CYCLIST] + track.votes[_PEDESTRIAN]
     return track.confirmed and people > 0.5 * track.votes.sum() and max(track.size[0], track.size[1]) < _PERSON_M
 
 
-@kernel
+@inner
 def _predicted_inside(tracks: np.ndarray, who: np.ndarray, seen: Any) -> tuple[np.ndarray, np.ndarray]:
     """The people predicted inside a cluster that may be a group, in their order along its long side, and where."""
     length, width, height = seen.size[0], seen.size[1], seen.size[2]
