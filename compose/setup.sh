@@ -22,7 +22,9 @@ PY
 [ "$(.venv/bin/uv --version 2>/dev/null | cut -d' ' -f2)" = "$UV_VERSION" ] \
     || step "installing uv $UV_VERSION" .venv/bin/python -m pip install --quiet "uv==$UV_VERSION"
 step "installing spotter[$EXTRAS] (about a minute the first time)" \
-    .venv/bin/uv pip install --python .venv/bin/python -c constraints.txt -e ".[$EXTRAS]"
+    .venv/bin/uv pip install --python .venv/bin/python --compile-bytecode -c constraints.txt -e ".[$EXTRAS]"
+# So that the first start is no slower than the others, and so are all where Python may not write.
+step "compiling Spotter's own modules" .venv/bin/python -m compileall -q common services
 case ",$EXTRAS," in *,all,* | *,infra-lidar,*)
     step "compiling the lidar's kernels for this processor (once)" .venv/bin/python -m compose.compile_kernels ;;
 esac

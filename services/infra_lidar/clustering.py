@@ -66,7 +66,7 @@ class Clustering:
         self._grid = np.zeros((self.side, words, 4), np.uint64)
         self._touched = np.zeros((self.side, (words + 63) // 64), np.uint64)
         self._row_start = np.zeros(self.side + 1, np.int32)
-        self._settings = _settings(config)
+        self._settings, self._look = _settings(config), _second_look(config)
 
     @property
     def nbytes(self) -> int:
@@ -79,7 +79,7 @@ class Clustering:
         room = m + -m % LINE_FLOATS + LINE_FLOATS
         cluster_id = take("cluster_id", len(frame.x), np.int32)
         found = kernels.find_clusters(
-            np.ascontiguousarray(frame.points), m, frame.rest, self._settings,
+            np.ascontiguousarray(frame.points), m, frame.rest, self._settings, self._look,
             take("cluster_ints", kernels.INTS * room, np.int32).reshape(kernels.INTS, room),
             take("cluster_floats", kernels.FLOATS * room, np.float32).reshape(kernels.FLOATS, room),
             self._grid, self._touched, self._row_start, cluster_id,
@@ -96,7 +96,12 @@ def _settings(config: ClusteringConfig) -> np.record:
     made["body_m"] = config.body_height_m or np.inf
     made["fewest"] = 1 if config.merge == "fragments" else config.min_points  # smaller components are not looked at
     made["widest"] = config.max_diagonal_m / config.cell_m  # cells only grow with range
-    made["two_points"], made["trim"] = config.min_cell_points > 1, config.trim_ground
-    made["split"], made["engulf"] = config.split == "gap", config.merge == "engulfed"
-    made["fragments"] = config.merge == "fragments"
+    made["two_points"], made["fragments"] = config.min_cell_points > 1, config.merge == "fragments"
     return made[0]
+
+
+def _second_look(config: ClusteringConfig) -> np.record | None:
+    """What the article does to clusters that it has found; None, and not compiled, where nothing of it is wanted."""
+    made = np.zeros(1, kernels.LOOK)
+    made[0] = config.trim_ground, config.split == "gap", config.merge == "engulfed"
+    return made[0] if any(made[0]) else None

@@ -77,8 +77,8 @@ def cluster_features(
     scratch, work = take("cluster", 6 * size, np.float32).reshape(6, size), take("work", 6 * room, np.float32)
     start, bins = take("start", cells, np.int32), take("bins", size, np.uint8)
     _all_clusters(
-        planar, offsets, ground_z_m, scratch, bins, work.reshape(6, room), start, hull, neighbours, nearest, table,
-        nearest_m,
+        planar, offsets, ground_z_m, scratch, bins, work.reshape(6, room) if neighbours else None, start, hull, nearest,
+        table, nearest_m,
     )  # fmt: skip
     return table, nearest_m
 
@@ -96,15 +96,15 @@ def _fewest_and_most(offsets: np.ndarray) -> tuple[int, int]:
 @kernel
 def _all_clusters(
     planar: np.ndarray, offsets: np.ndarray, ground: np.ndarray, scratch: np.ndarray, bins: np.ndarray,
-    work: np.ndarray, start: np.ndarray, hull: bool, neighbours: bool, nearest: bool, out: np.ndarray,
-    nearest_m: np.ndarray,
+    work: np.ndarray | None, start: np.ndarray, hull: bool, nearest: bool, out: np.ndarray, nearest_m: np.ndarray,
 ) -> None:  # fmt: skip
+    """Without ``work`` the search for neighbours is left out, and not even compiled."""
     for k in range(len(offsets) - 1):
         first, last = offsets[k], offsets[k + 1]
         mx, my = _centred(planar[0, first:last], scratch[0]), _centred(planar[1, first:last], scratch[1])
         base = _centred(planar[2, first:last], scratch[2]) - ground[k]
         _one_cluster(scratch, bins, last - first, mx, my, base, hull, out[k])
-        if neighbours:
+        if work is not None:
             out[k, _NN_STD], nearest_m[k] = spacing(scratch[:3], last - first, work, start, nearest)
 
 

@@ -20,11 +20,9 @@ def kernel(function: F) -> F:
 
 
 def inner(function: F) -> F:
-    """A function that only kernels call: without a way in from Python, it takes a third less time to compile."""
-    return cast(
-        F,
-        numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(function),
-    )
+    """A function that only kernels call: without a way in from Python, it takes a quarter less time to compile."""
+    no_way_in: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return cast(F, numba.njit(nogil=True, error_model="numpy", **no_way_in)(function))
 
 
 def inline(function: F) -> F:

@@ -117,7 +117,8 @@ def _best(box, members, strays):  # type: ignore[no-untyped-def]
             number = _grow(box, members, strays, yaw, strict == 1, taken)
             if number > most:
                 most, best_yaw = number, yaw
-                best[:] = taken
+                for k in range(len(taken)):  # spelled out: whole-array assignments take the compiler seconds
+                    best[k] = taken[k]
         middle = best_yaw
     return best
 

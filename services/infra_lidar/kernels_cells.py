@@ -39,11 +39,13 @@ def grid_cells(x, y, cell_m, growth_m, side, row, column):  # type: ignore[no-un
         store(column, i, c)
     if rest < n:
         last, cells = np.zeros((2, LANES), np.float32), np.zeros((2, LANES), np.int32)
-        last[0, : n - rest], last[1, : n - rest] = x[rest:], y[rest:]
+        for i in range(rest, n):
+            last[0, i - rest], last[1, i - rest] = x[i], y[i]
         r, c = _cell(load(last[0], 0), load(last[1], 0), table, per_m, grows, side)
         store(cells[0], 0, r)
         store(cells[1], 0, c)
-        row[rest:], column[rest:] = cells[0, : n - rest], cells[1, : n - rest]
+        for i in range(rest, n):
+            row[i], column[i] = cells[0, i - rest], cells[1, i - rest]
 
 
 @inline

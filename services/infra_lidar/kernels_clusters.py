@@ -184,12 +184,17 @@ def join_labels(begin, found, by, free, label):  # type: ignore[no-untyped-def]
 
 
 @inner
-def possible(box, offsets, s, good):  # type: ignore[no-untyped-def]
-    """good (K,) bool: clusters of a possible size; s: settings, as in ``kernels_steps``."""
+def possible(box, offsets, s, label):  # type: ignore[no-untyped-def]
+    """label (K,) int32: k for clusters of a possible size, -1 for others; s: settings, as in ``kernels_steps``. Returns
+    whether there are others."""
+    others = False
     for k in range(box.shape[0]):
         n, top = offsets[k + 1] - offsets[k], box[k, 7] + box[k, 5]
-        good[k] = (s.min_points <= n) & (n <= s.max_points) & (box[k, 5] <= s.max_height_m) & (top >= s.min_top_m)
-        good[k] &= np.hypot(box[k, 3], box[k, 4]) <= s.max_diagonal_m
+        good = (s.min_points <= n) & (n <= s.max_points) & (box[k, 5] <= s.max_height_m) & (top >= s.min_top_m)
+        good &= np.hypot(box[k, 3], box[k, 4]) <= s.max_diagonal_m
+        label[k] = k if good else -1
+        others |= not good
+    return others
 
 
 @inner

@@ -89,7 +89,7 @@ def _height_of(place):  # type: ignore[no-untyped-def]
     return near / FINE_PER_M + (place - near) / COARSE_PER_M
 
 
-@inner
+@kernel
 def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-untyped-def]
     """Rotate and shift (N, 3+) float32 sensor-frame points into planar level-frame x, y, z (N,) float32.
 
@@ -266,4 +266,7 @@ def beams_seen(rings, seen):  # type: ignore[no-untyped-def]
     seen[:] = False
     for i in range(rings.shape[0]):
         seen[np.uint8(rings[i])] = True
-    return seen.sum()
+    number = 0
+    for ring in range(256):
+        number += seen[ring]
+    return number

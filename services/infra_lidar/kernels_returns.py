@@ -39,7 +39,8 @@ def whole_block(flat, width, start, n):  # type: ignore[no-untyped-def]
     if start + BLOCK <= n:
         return flat, start * width
     copy = np.zeros((n - start + LANES) * width, np.float32)
-    copy[: (n - start) * width] = flat[start * width : n * width]
+    for i in range((n - start) * width):
+        copy[i] = flat[start * width + i]
     return copy, 0
 
 

@@ -21,8 +21,8 @@ FAR_M = np.float32(1e9)
 
 
 @inner
-def second_look(points, offsets, box, good, trim, split, engulf, scratch, label):  # type: ignore[no-untyped-def]
-    """Label the points of clusters that are ``good`` (K,) bool, trimmed, cut and joined if so wanted; others become -1.
+def second_look(points, offsets, box, good, look, scratch, label):  # type: ignore[no-untyped-def]
+    """Label the points of clusters, trimmed, cut and joined as ``look`` says; -1 where ``good`` (K,) int32 is.
 
     label (T,) int32 is written; scratch (4, T) float32 is overwritten. Returns the number of labels: K and one more for
     each piece, of which some have no points.
@@ -33,17 +33,17 @@ def second_look(points, offsets, box, good, trim, split, engulf, scratch, label)
     for k in range(clusters):
         first, last = offsets[k], offsets[k + 1]
         mine, z = label[first:last], points[2, first:last]
-        mine[:] = k if good[k] else -1
-        if not good[k]:
+        mine[:] = good[k]
+        if good[k] < 0:
             continue
-        foot_m = _foot_m(z, box[k]) if trim else -FAR_M
+        foot_m = _foot_m(z, box[k]) if look.trim else -FAR_M
         count[k] = _label_above(z, foot_m, mine)
         for axis in range(3):
             extent[axis, k], extent[3 + axis, k] = _extent_above(points[axis, first:last], z, foot_m)
-        if split and 150 < count[k] <= 2000 and 1.0 <= extent[5, k] - extent[2, k] <= 2.2:
+        if look.split and 150 < count[k] <= 2000 and 1.0 <= extent[5, k] - extent[2, k] <= 2.2:
             n = _keep(points[0, first:last], points[1, first:last], z, mine, scratch)
             total = _split_row(scratch[0, :n], scratch[1, :n], scratch[2, :n], mine, k, total, extent, count)
-    if engulf:
+    if look.engulf:
         _join_engulfed(extent[:, :total], count[:total], label)
     return total
 

@@ -21,8 +21,9 @@ SETTINGS = np.dtype(
         "cell_m", "cell_growth_m", "body_m", "max_height_m", "min_top_m", "max_diagonal_m",
     )]
     + [(name, np.int64) for name in ("connectivity", "min_points", "max_points", "fewest", "widest")]
-    + [(name, np.bool_) for name in ("two_points", "trim", "split", "engulf", "fragments")]
+    + [(name, np.bool_) for name in ("two_points", "fragments")]
 )  # fmt: skip
+LOOK = np.dtype([(name, np.bool_) for name in ("trim", "split", "engulf")])
 INTS, FLOATS = 17, 12  # rows of scratch
 TALL_BAND_M = np.float32(0.4)  # a component with points in the top of the body band goes on above it
 TALL_SHARE = 0.03
@@ -30,12 +31,13 @@ MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by: they can on
 
 
 @kernel
-def find_clusters(points, m, source, s, ints, floats, grid, touched, row_start, cluster_id):  # type: ignore[no-untyped-def]
+def find_clusters(points, m, source, s, look, ints, floats, grid, touched, row_start, cluster_id):  # type: ignore[no-untyped-def]
     """Clusters of m points (4, m or more) float32, x, y, z and height above the road, with index ``source`` (m,) in the
     frame.
 
-    s: a record of ``SETTINGS``. ints (INTS, m + 1 or more) int32 and floats (FLOATS, m or more) float32 are scratch,
-    with room for a vector more; grid, touched and row_start as in ``kernels_labels``. cluster_id (N,) int32 is written.
+    s: a record of ``SETTINGS``; look: one of ``LOOK`` for the article's second look, else None. ints (INTS, m + 1 or
+    more) int32 and floats (FLOATS, m or more) float32 are scratch, with room for a vector more; grid, touched and
+    row_start as in ``kernels_labels``. cluster_id (N,) int32 is written.
     Returns copies: planar (3, T) float32 of the points by cluster, offsets (K + 1,) int32, box (K, 8) float32.
     """
     # Components of cells that are occupied as low as a body; what is higher joins tall ones, or is on its own
@@ -56,32 +58,56 @@ def find_clusters(points, m, source, s, ints, floats, grid, touched, row_start, 
     grouped, offsets, index = sets[0][: 4 * total].reshape(4, total), first[0][: count + 1], first[1][:total]
 
     # Pieces of vehicles
+    all_of_them, anywhere = np.int64(1), np.int64(0)  # as literals they would be compiled once more
     if s.fragments:
         group, counts = np.empty(count, np.int32), offsets[1:] - offsets[:-1]
         merge_fragments(box[:count], counts, MIN_FRAGMENT_POINTS, group)
         adopt_strays(box[:count], counts, s.min_points, group)
         count, total = regroup(
-            offsets, group, count, 1, total, across[:0], 0, grouped, index, number, second[0], sets[1], second[1], box
+            offsets,
+            group,
+            count,
+            all_of_them,
+            total,
+            across[:0],
+            anywhere,
+            grouped,
+            index,
+            number,
+            second[0],
+            sets[1],
+            second[1],
+            box,
         )
         grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
         first, sets = second, (sets[1], sets[0])
         second = (ints[9], ints[10])
 
     # Only what is of a possible size; and the article's second look
-    good = np.empty(count, np.bool_)
-    possible(box[:count], offsets, s, good)
-    again = offsets, np.where(good, np.arange(count), -1).astype(np.int32)
-    labels, change = count, not good.all()
-    if s.trim or s.split or s.engulf:
+    begins, label, labels = offsets, ints[14][:count], count
+    change = possible(box[:count], offsets, s, label)
+    if look is not None:
         of_points = ints[13][:total]
-        labels = second_look(grouped, offsets, box[:count], good, s.trim, s.split, s.engulf, floats[8:12], of_points)
-        runs, change, box = _runs(of_points, begin, label), True, np.empty((labels, 8), np.float32)
-        again = begin[: runs + 1], label[:runs]
+        labels = second_look(grouped, offsets, box[:count], label, look, floats[8:12], of_points)
+        runs, change, box = _runs(of_points, begin, ints[1]), True, np.empty((labels, 8), np.float32)
+        begins, label = begin[: runs + 1], ints[1][:runs]
     if change:
         count, total = regroup(
-            again[0], again[1], labels, 1, total, across[:0], 0, grouped, index, number, second[0], sets[1], second[1],
+            begins,
+            label,
+            labels,
+            all_of_them,
+            total,
+            across[:0],
+            anywhere,
+            grouped,
+            index,
+            number,
+            second[0],
+            sets[1],
+            second[1],
             box,
-        )  # fmt: skip
+        )
         grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
     write_ids(index, offsets, cluster_id)
     return grouped[:3].copy(), offsets.copy(), box[:count].copy()

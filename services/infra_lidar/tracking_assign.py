@@ -21,7 +21,6 @@ from services.infra_lidar.ordering import rising
 from services.infra_lidar.tracking_filter import innovation
 
 FORBIDDEN = 1e6
-_ROOM = 6  # allowed pairs a track that there is room for at first
 
 
 def associate(
@@ -73,30 +72,41 @@ def easy_pairs(
 def allowed_pairs(tracks: np.ndarray, detections: np.ndarray, p: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Track, detection and cost of every pair within the gate, three arrays of one length."""
     count = len(detections)
-    x, extent = np.empty(count), np.empty(count)
+    x, extent, widest = np.empty(count), np.empty(count), 0.0
     for d in range(count):
         x[d] = detections[d].position[0]
         extent[d] = 0.5 * (detections[d].size[0] + detections[d].size[1]) if p.visible else 0.0
+        widest = max(widest, extent[d])
     order = rising(x)
-    x, widest = x[order], extent.max() if count else 0.0
-    room = _ROOM * len(tracks) + 16
+    room, stretch = 0, np.empty((len(tracks), 2), np.int64)
+    for t in range(len(tracks)):
+        place, reach = tracks[t].mean[0], _reach(tracks[t], p) + widest
+        stretch[t, 0], stretch[t, 1] = _first_from(x, order, place - reach), _first_from(x, order, place + reach)
+        room += stretch[t, 1] - stretch[t, 0]
     rows, columns, costs, found = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room), 0
     for t in range(len(tracks)):
         track = tracks[t]
         reach = _reach(track, p)
-        for k in range(np.searchsorted(x, track.mean[0] - reach - widest), count):
-            if x[k] > track.mean[0] + reach + widest:
-                break
+        for k in range(stretch[t, 0], stretch[t, 1]):
             d = order[k]
             cost = _pair_cost(track, detections[d], reach + extent[d], p)
-            if cost >= FORBIDDEN:
-                continue
-            if found == len(rows):
-                rows, columns = np.append(rows, np.empty_like(rows)), np.append(columns, np.empty_like(columns))
-                costs = np.append(costs, np.empty_like(costs))
-            rows[found], columns[found], costs[found] = t, d, cost
-            found += 1
+            if cost < FORBIDDEN:
+                rows[found], columns[found], costs[found] = t, d, cost
+                found += 1
     return rows[:found], columns[:found], costs[:found]
+
+
+@inner
+def _first_from(x: np.ndarray, order: np.ndarray, least: float) -> int:
+    """How many x are smaller, by halving; ``order`` is that in which they rise."""
+    low, high = 0, len(order)
+    while low < high:
+        middle = (low + high) // 2
+        if x[order[middle]] < least:
+            low = middle + 1
+        else:
+            high = middle
+    return low
 
 
 @inner

@@ -24,7 +24,8 @@ def begin_frame(tracks: np.ndarray, stamp_ns: int) -> None:
         track = tracks[t]
         track.detection = -1
         if not track.moving and stamp_ns - track.seen_ns > _DRIFT_NS:
-            track.mean[3:] = 0.0
+            for k in range(3, 6):
+                track.mean[k] = 0.0
 
 
 @inner
@@ -57,8 +58,8 @@ def found(
     for i in range(len(founders)):
         track, seen = new[i], detections[founders[i]]
         track.track_id = first_id + i
-        track.mean[:3] = seen.position
-        track.size[:] = seen.size
+        for k in range(3):  # spelled out: whole-array assignments take the compiler seconds
+            track.mean[k], track.size[k] = seen.position[k], seen.size[k]
         track.yaw = seen.yaw
         track.label = seen.label
         vote(track, seen, 1.0, p)

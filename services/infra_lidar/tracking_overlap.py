@@ -30,7 +30,7 @@ def founders(tracks: np.ndarray, detections: np.ndarray, taken: np.ndarray, p: A
     for d in range(len(detections)):
         may = detections[d].label != BACKGROUND and detections[d].confidence >= p.found_confidence
         free[d] = free[d] and may
-    if p.visible and free.any():
+    if p.visible:
         for t in range(len(tracks)):
             _claim_pieces(tracks[t], detections, free)
     return np.flatnonzero(free)
@@ -42,7 +42,7 @@ def _claim_pieces(track: Any, detections: np.ndarray, free: np.ndarray) -> None:
     class, is a piece of an object that the clustering broke: it is not free."""
     if not track.confirmed or track.detection < 0 or track.size[0] * track.size[1] < _BREAKABLE_M2:
         return
-    c, s, total = math.cos(track.yaw), math.sin(track.yaw), track.votes.sum()
+    c, s, total = math.cos(track.yaw), math.sin(track.yaw), all_votes(track)
     for d in range(len(detections)):
         if not free[d]:
             continue
@@ -62,11 +62,11 @@ def absorb_doubles(tracks: np.ndarray) -> np.ndarray:
     where two tracks that go the same way share much of the smaller one's box, the older one lives on, with the box and
     the filter of whichever has more points."""
     count = len(tracks)
-    into, x, reach = np.full(count, -1, np.int64), np.empty(count), np.empty(count)
+    into, x, reach, farthest = np.full(count, -1, np.int64), np.empty(count), np.empty(count), 0.0
     for t in range(count):
         x[t], reach[t] = tracks[t].mean[0], 0.5 * (tracks[t].size[0] + tracks[t].size[1])
+        farthest = max(farthest, reach[t])
     order = rising(x)
-    farthest = reach.max() if count else 0.0
     for i in range(count):
         one = order[i]
         for j in range(i + 1, count):
@@ -102,7 +102,16 @@ def _absorb(tracks: np.ndarray, one: int, other: int, into: np.ndarray) -> None:
 def _vehicle(track: Any) -> bool:
     """Large enough, and hardly a person on foot or on a bicycle."""
     people = track.votes[_CYCLIST] + track.votes[_PEDESTRIAN]
-    return people < 0.4 * track.votes.sum()
+    return people < 0.4 * all_votes(track)
+
+
+@inner
+def all_votes(track: Any) -> float:
+    """The sum of a track's votes."""
+    total = 0.0
+    for c in range(len(track.votes)):
+        total += track.votes[c]
+    return total
 
 
 @inner

@@ -142,13 +142,6 @@ def note_place(track: Any, slot: int) -> None:
 
 
 @inner
-def note_places(tracks: np.ndarray, slot: int) -> None:
-    """The same for all of them."""
-    for t in range(len(tracks)):
-        note_place(tracks[t], slot)
-
-
-@inner
 def _way(now: np.ndarray, then: np.ndarray) -> float:
     """How far the edges say it has come."""
     along, _ = edge_shift(now[0] - then[0], 2.0 * now[2], 2.0 * then[2])

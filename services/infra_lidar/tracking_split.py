@@ -14,6 +14,7 @@ import numpy as np
 from services.infra_lidar.classes import CLASSES
 from services.infra_lidar.jit import inner, kernel
 from services.infra_lidar.ordering import rising
+from services.infra_lidar.tracking_overlap import all_votes
 
 _CYCLIST, _PEDESTRIAN = CLASSES.index("cyclist"), CLASSES.index("pedestrian")
 _PERSON_M = 1.6  # no person on foot, and no cyclist across, is wider
@@ -73,7 +74,7 @@ def _cuts(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, np.nd
 @inner
 def _is_person(track: Any) -> bool:
     people = track.votes[_CYCLIST] + track.votes[_PEDESTRIAN]
-    return track.confirmed and people > 0.5 * track.votes.sum() and max(track.size[0], track.size[1]) < _PERSON_M
+    return track.confirmed and people > 0.5 * all_votes(track) and max(track.size[0], track.size[1]) < _PERSON_M
 
 
 @inner

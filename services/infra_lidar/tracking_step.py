@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from services.infra_lidar.classes import CLASSES
-from services.infra_lidar.jit import kernel
+from services.infra_lidar.jit import inner, kernel
 from services.infra_lidar.tracking_assign import allowed_pairs, easy_pairs
 from services.infra_lidar.tracking_filter import predict
 from services.infra_lidar.tracking_life import begin_frame, found, judge_lives
@@ -69,10 +69,7 @@ def conclude(
     many of them are new, and the ids (L, 2) of the doubles that were given up and of the tracks for which.
     """
     update_pairs(room[:count], rows, columns, seen, dt_s, stamp_ns, p)
-    back = 0  # frames within ``movement_s``
-    for written_ns in ring_ns:
-        back += stamp_ns - written_ns <= p.movement_s * 1e9
-    judge_movement(room[:count], slot, back, p)
+    judge_movement(room[:count], slot, _frames_within(p.movement_s, ring_ns, stamp_ns), p)
     count = keep(room, judge_lives(room[:count], seen, dt_s, stamp_ns, p))
     new = founders(room[:count], seen, columns, p)
     for i in range(len(new)):
@@ -89,6 +86,14 @@ def conclude(
                 number += 1
         count = keep(room, into < 0)
     return count, len(new), given_up[:number]
+
+
+@inner
+def _frames_within(span_s: float, ring_ns: np.ndarray, stamp_ns: int) -> int:
+    back = 0
+    for written_ns in ring_ns:
+        back += stamp_ns - written_ns <= span_s * 1e9
+    return back
 
 
 @kernel

@@ -1,27 +1,31 @@
 """Compile or load every kernel before the first real frame, and say so.
 
-Compiled kernels are kept on disk. Without them a second process compiles those of the later stages meanwhile: the
-compiler itself works on one at a time.
+Compiled kernels are kept on disk. Without them a second process compiles half of them meanwhile: the compiler itself
+works on one at a time.
 """
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import msgspec
 import numpy as np
 
 from common.stopwatch import Stopwatch
 from services.infra_lidar.classifier import Classifier
+from services.infra_lidar.clustering import Clustering
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.features import compute_features
+from services.infra_lidar.ground import Levelled
 from services.infra_lidar.kernels_ground import beams_seen
 from services.infra_lidar.pipeline import InfraLidarPipeline
-from services.infra_lidar.tracking import Detections, MultiObjectTracker
+from services.infra_lidar.tracking import Detections
 
 log = logging.getLogger(__name__)
 
@@ -35,14 +39,15 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
     calibration = msgspec.structs.replace(config.calibration, frames=1, hypotheses=16)
     small = msgspec.structs.replace(config, calibration=calibration, background=background, T_map_sensor=())
     frame = made_up_frame()
-    if _compiled_before():
-        tell("loading kernels")
-    else:
-        tell("compiling kernels: on the first start on this machine, about 20 s")
-        _compile_by_two(small, frame)
-    pipeline = InfraLidarPipeline(small)
-    for k in range(9):  # to the end of learning and beyond
-        pipeline.process((10 + k) * FRAME_NS, frame)
+    with _collecting_seldom():
+        if _compiled_before():
+            tell("loading kernels")
+        else:
+            tell("compiling kernels: on the first start on this machine, about half a minute")
+            _compile_by_two(small)
+        pipeline = InfraLidarPipeline(small)
+        for k in range(9):  # to the end of learning and beyond
+            pipeline.process((10 + k) * FRAME_NS, frame)
     watch.lap("warm-up")
     log.info("kernels ready after %.1f s", watch.stage_ms["warm-up"] / 1e3)
     return watch.stage_ms["warm-up"]
@@ -50,44 +55,62 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
 
 def _compiled_before() -> bool:
     """Whether the smallest kernel came from the disk."""
-    beams_seen(np.zeros(1, np.float32), np.zeros(256, bool))
+    beams_seen(np.zeros((1, 2), np.float32)[:, 0], np.zeros(256, bool))
     return not beams_seen.stats.cache_misses  # type: ignore[attr-defined]
 
 
-def _compile_by_two(config: InfraLidarConfig, frame: np.ndarray) -> None:
-    """Early stages in this process, late ones in another, where there is a processor for it."""
+def _compile_by_two(config: InfraLidarConfig) -> None:
+    """Half of the kernels in this process, half in another one, where there is a processor for it."""
     if len(os.sched_getaffinity(0)) < 2:
         return
-    with subprocess.Popen([sys.executable, "-m", __name__]) as other:
-        compile_early(config, frame)
+    with subprocess.Popen([sys.executable, "-m", __name__], stdin=subprocess.PIPE) as other:
+        assert other.stdin is not None
+        other.stdin.write(msgspec.json.encode(config))
+        other.stdin.close()
+        compile_clusters(config)
         if other.wait() != 0:  # then this process compiles those, too
             log.warning("the second compiling process ended with exit code %d", other.returncode)
 
 
-def compile_early(config: InfraLidarConfig, frame: np.ndarray) -> None:
-    """Ground, clusters and background."""
+def compile_scene_and_tracks(config: InfraLidarConfig, frame: np.ndarray) -> None:
+    """Ground and background, then tracks of two people side by side."""
     pipeline = InfraLidarPipeline(config)
+    nobody = np.zeros(len(frame), bool)
     for k in range(9):
         stamp_ns = (10 + k) * FRAME_NS
         parted = pipeline.scene.part(stamp_ns, frame, pipeline.calibration.update(frame))
-        pipeline.clustering.cluster(parted.frame)
-        pipeline.scene.learn(stamp_ns, frame, parted, np.zeros(len(frame), bool))
-
-
-def compile_late(config: InfraLidarConfig) -> None:
-    """Features, classes and tracks, of two people side by side."""
-    generator = np.random.default_rng(7)
-    points = generator.uniform([0, 0, 0], [0.5, 0.5, 1.7], (200, 3)).astype(np.float32)
-    classifier = Classifier(config.classifier)
-    features = compute_features(points, np.array([0, 100, 200]), np.zeros(2), classifier.feature_names)
-    _, confidence, probabilities = classifier.classify(features)
+        pipeline.scene.learn(stamp_ns, frame, parted, nobody)
     seen = Detections(
         position_m=np.array([[9.0, 0.0, 0.9], [9.0, 3.0, 0.9]]), size_m=np.full((2, 3), [0.5, 0.5, 1.7]),
-        yaw_rad=np.zeros(2), labels=["pedestrian"] * 2, confidence=confidence, probabilities=probabilities,
+        yaw_rad=np.zeros(2), labels=["pedestrian"] * 2, confidence=np.full(2, 0.9),
     )  # fmt: skip
-    tracker = MultiObjectTracker(config.tracking)
     for k in range(5):
-        tracker.update((10 + k) * FRAME_NS, seen)
+        pipeline.tracker.update((10 + k) * FRAME_NS, seen)
+
+
+def compile_clusters(config: InfraLidarConfig) -> None:
+    """Clusters, features and classes, of a person."""
+    n, generator = 800, np.random.default_rng(7)
+    xyz = generator.uniform([8.0, 0.0, 0.2], [8.5, 0.5, 1.7], (n, 3)).astype(np.float32).T.copy()
+    frame = Levelled(
+        x=xyz[0], y=xyz[1], z=xyz[2], cell=np.zeros(n, np.int16), ground=np.zeros(n, bool),
+        rest=np.arange(n, dtype=np.int32), points=np.concatenate((xyz, xyz[2:])),
+    )  # fmt: skip
+    found = Clustering(config.clustering, config.ground.range_max_m).cluster(frame)
+    classifier = Classifier(config.classifier)
+    features = compute_features(found.points, found.offsets, np.zeros(len(found)), classifier.feature_names)
+    classifier.classify(features)
+
+
+@contextmanager
+def _collecting_seldom() -> Iterator[None]:
+    """The compiler makes millions of small objects and keeps most: to look for garbage among them costs a sixth."""
+    before = gc.get_threshold()
+    gc.set_threshold(200_000, 20, 100)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 def made_up_frame() -> np.ndarray:
@@ -106,4 +129,5 @@ def made_up_frame() -> np.ndarray:
 
 
 if __name__ == "__main__":
-    compile_late(InfraLidarConfig())
+    with _collecting_seldom():
+        compile_scene_and_tracks(msgspec.json.decode(sys.stdin.buffer.read(), type=InfraLidarConfig), made_up_frame())

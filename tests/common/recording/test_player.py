@@ -17,11 +17,12 @@ from common.recording.player import Pace, Player
 from common.session import open_session
 
 Add = Callable[[RecordingFile, str, Message, int], None]
+Until = Callable[[Callable[[], object]], None]
 Zones = Callable[[int], LidarZones]
 
 
 def test_playing_back_keeps_order_spacing_and_namespaces(
-    zenoh_config: ZenohConfig, tmp_path: Path, add: Add, zones: Zones
+    zenoh_config: ZenohConfig, tmp_path: Path, add: Add, zones: Zones, until: Until
 ) -> None:
     path = tmp_path / "a.mcap"
     with RecordingFile(path, {}) as file:
@@ -42,6 +43,8 @@ def test_playing_back_keeps_order_spacing_and_namespaces(
             listener.declare_subscriber("jetson0/lidar/zones", note),
             live.declare_subscriber("**", mixed.append),
         ]
+        put = speaker.declare_publisher("jetson0/lidar/zones")
+        until(lambda: put.matching_status.matching)  # the router knows that somebody listens
         player = Player(speaker, [path], Pace(rate=4.0))
         player.run(threading.Event())
         assert done.wait(10)
