@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.infra_lidar import Frame, frames_of
 from benchmarks.labelled_boxes import LabelledFrame, labelled_frames
+from benchmarks.roadside_frames import Frame, frames_of
 from services.infra_lidar.calibration import Calibrator
 from services.infra_lidar.classes import CLASSES, LABELS
 from services.infra_lidar.classifier import Classifier
