@@ -87,10 +87,10 @@ class Lab:
         return subprocess.run(words, capture_output=True, text=True, check=False, env={**os.environ, **environment})
 
     def stop(self, *names: str) -> None:
-        """Stop these together, each as with Ctrl-C."""
+        """Stop these together. Not as with Ctrl-C: who was started in the background of a script does not hear that."""
         stopping = [self._processes.pop(name) for name in names]
         for process in stopping:
-            process.send_signal(signal.SIGINT)
+            process.send_signal(signal.SIGTERM)
         for process in stopping:
             try:
                 process.wait(STOP_BUDGET_S)
