@@ -93,9 +93,9 @@ class ArticleByKernels:
         shares = self._forest.shares(table)
         labels = shares.argmax(axis=1)
         t = self.timed.add("forest", t)
-        centres, objects = found.means, np.flatnonzero(labels)
+        centres, (objects,) = found.means, labels.nonzero()
         names = [LABELS[i] for i in labels[objects].tolist()]
-        box, confidence = found.box[objects], shares[objects].max(axis=1, initial=0.0)
+        box, confidence = found.box[objects], shares.max(axis=1, initial=0.0)[objects]
         self._stamp_ns += 100_000_000
         seen = Detections(centres[objects], box[:, 3:6], box[:, 6], names, confidence)
         self.tracker.step(self._stamp_ns, seen)

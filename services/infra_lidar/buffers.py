@@ -18,21 +18,25 @@ def aligned(length: int, dtype: Any) -> np.ndarray:
     return raw[first : first + wanted].view(dtype)
 
 
+_NOTHING = (np.empty(0), -1, None)
+
+
 class Buffers:
     """Named arrays that grow to the largest size asked for. A view is valid until the same name is taken again."""
 
     def __init__(self) -> None:
-        self._arrays: dict[str, np.ndarray] = {}
+        self._arrays: dict[str, tuple[np.ndarray, int, Any]] = {}  # what it is called: array, room, dtype as asked for
 
     def take(self, name: str, length: int, dtype: Any) -> np.ndarray:
         """An uninitialised (length,) array of ``dtype``; behind its end there is room for one more vector."""
-        array = self._arrays.get(name)
-        if array is None or len(array) < length + LINE_FLOATS or array.dtype != dtype:
-            array = aligned(length + length // 32 + LINE_FLOATS, dtype)
-            self._arrays[name] = array
+        array, room, held = self._arrays.get(name, _NOTHING)
+        if room < length or held is not dtype:
+            room = length + length // 32
+            array = aligned(room + LINE_FLOATS, dtype)
+            self._arrays[name] = array, room, dtype
         return array[:length]
 
     @property
     def nbytes(self) -> int:
         """Bytes held."""
-        return sum(array.nbytes for array in self._arrays.values())
+        return sum(array.nbytes for array, _, _ in self._arrays.values())

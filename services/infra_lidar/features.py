@@ -11,6 +11,7 @@ Every feature is finite for every cluster, a single point included: what cannot 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -82,28 +83,41 @@ def compute_features(
     offsets = np.ascontiguousarray(offsets, np.int64)
     ground = np.ascontiguousarray(ground_z_m, np.float32)
     _check(points, offsets, ground)
-    columns = _columns(names)
+    wanted = _wanted(names)
     planar = np.ascontiguousarray(points.T, np.float32)
-    with_pieces = any(name in names for name in _PIECE_NAMES)
     table, spacing_m = cluster_features(
-        planar, offsets, ground, "hull_fill" in names, with_pieces or "nn_dist_std" in names, with_pieces,
-        buffers or Buffers(),
-    )  # fmt: skip
-    if with_pieces:
+        planar, offsets, ground, wanted.hull, wanted.neighbours, wanted.pieces, buffers or Buffers()
+    )
+    if wanted.pieces:
         first = _INDEX[_PIECE_NAMES[0]]
         table[:, first : first + 2] = piece_features(np.ascontiguousarray(planar.T), offsets, spacing_m)
-    if "hull_point_ratio" in names:
+    if wanted.hull_points:
         table[:, _INDEX["hull_point_ratio"]] = hull_point_ratio(points, offsets)
-    return table[:, columns]
+    return table.take(wanted.columns, axis=1)
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """Columns of the whole table, and which of the costly ones are among them."""
+
+    columns: np.ndarray
+    hull: bool
+    neighbours: bool
+    pieces: bool
+    hull_points: bool
 
 
 @lru_cache(maxsize=32)
-def _columns(names: tuple[str, ...]) -> np.ndarray:
+def _wanted(names: tuple[str, ...]) -> _Wanted:
     """Raises ``ValueError`` on an unknown name."""
     unknown = sorted(set(names) - _INDEX.keys())
     if unknown:
         raise ValueError(f"unknown feature(s) {unknown}; known: {', '.join(ALL_NAMES)}")
-    return np.array([_INDEX[name] for name in names])
+    pieces = any(name in names for name in _PIECE_NAMES)
+    return _Wanted(
+        columns=np.array([_INDEX[name] for name in names], np.intp), hull="hull_fill" in names,
+        neighbours=pieces or "nn_dist_std" in names, pieces=pieces, hull_points="hull_point_ratio" in names,
+    )  # fmt: skip
 
 
 def _check(points: np.ndarray, offsets: np.ndarray, ground: np.ndarray) -> None:

@@ -32,11 +32,24 @@ def associate(
     if not len(contested_t):
         return sure_t, sure_d
     r, c = linear_sum_assignment(costs)
-    allowed = costs[r, c] < FORBIDDEN
-    return (
-        np.concatenate((sure_t, contested_t[r[allowed]])),
-        np.concatenate((sure_d, contested_d[c[allowed]])),
-    )
+    return chosen_pairs(sure_t, sure_d, contested_t, contested_d, costs, r, c)
+
+
+@kernel
+def chosen_pairs(
+    sure_t: np.ndarray, sure_d: np.ndarray, contested_t: np.ndarray, contested_d: np.ndarray, costs: np.ndarray,
+    r: np.ndarray, c: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """The sure pairs, and those of contested tracks r and detections c (A,) that are allowed."""
+    number, room = len(sure_t), len(sure_t) + len(r)
+    rows, columns = np.empty(room, np.int64), np.empty(room, np.int64)
+    for i in range(number):
+        rows[i], columns[i] = sure_t[i], sure_d[i]
+    for i in range(len(r)):
+        if costs[r[i], c[i]] < FORBIDDEN:
+            rows[number], columns[number] = contested_t[r[i]], contested_d[c[i]]
+            number += 1
+    return rows[:number], columns[:number]
 
 
 @kernel
