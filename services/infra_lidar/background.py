@@ -17,6 +17,7 @@ from services.infra_lidar.buffers import LINE_FLOATS, Buffers
 from services.infra_lidar.config import BackgroundConfig
 
 MAX_RINGS = 128
+INTS, FLOATS = "cluster_ints", "cluster_floats"  # scratch of the clusters: not yet needed, or done with
 
 
 @dataclass(frozen=True)
@@ -100,8 +101,8 @@ class Background:
         if self._low is None:
             self._begin(stamp_ns, points)
         tolerance, slope = np.float32(config.tolerance_m), np.float32(config.tolerance_slope)
-        cell, take = self._buffers.take("bg_cell", len(points), np.int32), self._buffers.take
-        squared = take("bg_squared", len(points), np.float32)
+        take = self._buffers.take
+        cell, squared = take(INTS, len(points), np.int32), take(FLOATS, len(points), np.float32)
         kernels.locate(points, self._columns, self._rows, cell, squared)
         kernels.learn(
             cell, squared, tolerance, slope, self._low, self._high, self._count, self._newest, self._switches
@@ -145,7 +146,7 @@ class Background:
         n, take = len(points), self._buffers.take
         room = n + -n % LINE_FLOATS
         known, ground = take("bg_known", n, np.bool_), take("bg_ground", n, np.bool_)
-        source, fresh = take("bg_source", n, np.int32), take("bg_fresh", 3 * room, np.float32).reshape(3, room)
+        source, fresh = take("bg_source", n, np.int32), take(FLOATS, 3 * room, np.float32).reshape(3, room)
         m, returns, near = kernels.sift(
             points, model.columns, model.rows, model.ranges, np.float32(near_m), known, ground, source, fresh
         )  # fmt: skip

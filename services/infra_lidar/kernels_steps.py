@@ -24,7 +24,7 @@ SETTINGS = np.dtype(
     + [(name, np.bool_) for name in ("two_points", "fragments")]
 )  # fmt: skip
 LOOK = np.dtype([(name, np.bool_) for name in ("trim", "split", "engulf")])
-INTS, FLOATS = 17, 12  # rows of scratch
+INTS, FLOATS = 13, 8  # rows of scratch
 TALL_BAND_M = np.float32(0.4)  # a component with points in the top of the body band goes on above it
 TALL_SHARE = 0.03
 MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by: they can only be adopted
@@ -64,50 +64,26 @@ def find_clusters(points, m, source, s, look, ints, floats, grid, touched, row_s
         merge_fragments(box[:count], counts, MIN_FRAGMENT_POINTS, group)
         adopt_strays(box[:count], counts, s.min_points, group)
         count, total = regroup(
-            offsets,
-            group,
-            count,
-            all_of_them,
-            total,
-            across[:0],
-            anywhere,
-            grouped,
-            index,
-            number,
-            second[0],
-            sets[1],
-            second[1],
-            box,
-        )
+            offsets, group, count, all_of_them, total, across[:0], anywhere, grouped, index, number, second[0],
+            sets[1], second[1], box,
+        )  # fmt: skip
         grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
         first, sets = second, (sets[1], sets[0])
         second = (ints[9], ints[10])
 
     # Only what is of a possible size; and the article's second look
-    begins, label, labels = offsets, ints[14][:count], count
+    begins, label, labels = offsets, ints[5][:count], count
     change = possible(box[:count], offsets, s, label)
     if look is not None:
-        of_points = ints[13][:total]
-        labels = second_look(grouped, offsets, box[:count], label, look, floats[8:12], of_points)
+        of_points = ints[4][:total]
+        labels = second_look(grouped, offsets, box[:count], label, look, sets[1].reshape(4, room), of_points)
         runs, change, box = _runs(of_points, begin, ints[1]), True, np.empty((labels, 8), np.float32)
         begins, label = begin[: runs + 1], ints[1][:runs]
     if change:
         count, total = regroup(
-            begins,
-            label,
-            labels,
-            all_of_them,
-            total,
-            across[:0],
-            anywhere,
-            grouped,
-            index,
-            number,
-            second[0],
-            sets[1],
-            second[1],
-            box,
-        )
+            begins, label, labels, all_of_them, total, across[:0], anywhere, grouped, index, number, second[0],
+            sets[1], second[1], box,
+        )  # fmt: skip
         grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
     write_ids(index, offsets, cluster_id)
     return grouped[:3].copy(), offsets.copy(), box[:count].copy()
@@ -127,15 +103,15 @@ def _label_high(points, m, s, components, ints, floats, grid, touched, row_start
 
     Runs, labels and extents in ints[:3] are written anew. Returns the numbers of runs and components.
     """
-    begin, label, across, of_points, free = ints[0], ints[1], ints[2], ints[13][:m], ints[14][:m]
+    begin, label, across, of_points, free = ints[0], ints[1], ints[2], ints[9][:m], ints[10][:m]
     runs = 0
     while begin[runs] < m:
         runs += 1
     spread(begin[: runs + 1], label[:runs], of_points)
     band_m = s.body_m - TALL_BAND_M
-    number = join_high(of_points, points[3], components, band_m, s.body_m, TALL_SHARE, ints[15], ints[16], free)
+    number = join_high(of_points, points[3], components, band_m, s.body_m, TALL_SHARE, ints[11], ints[12], free)
     if number > 0:
-        high = floats[8:12]
+        high = floats[:4]
         for row in range(4):
             for i in range(number):
                 high[row, i] = points[row, free[i]]
