@@ -15,6 +15,7 @@ from services.infra_lidar.vectors import (
     lane_sum,
     lanes,
     larger,
+    load,
     ones,
     root,
     select,
@@ -30,6 +31,7 @@ FLICKER_SHARE = 0.2  # two ranges that take turns this often are both background
 ROWS_WITHOUT_RINGS, ROWS_PER_RAD = 256, np.float32(256.0)  # 0.22 degrees, for clouds without a ring column
 NO_RETURN_M2, FAR_M2 = np.float32(0.25), np.float32(1e8)
 LEAST_BITS, LAST_STEP = np.int32(NO_RETURN_M2.view(np.int32)), np.int32(32767)
+NO_STEP = np.int32(-1)
 STEP_BITS = 15  # two steps, and a flag, fit into a word
 ROAD = np.int32(1 << 30)
 
@@ -187,25 +189,38 @@ def sift(points, columns, rows, packed, near_m, known, ground, source, fresh):  
     flat, near_m2, m = points.reshape(points.size), near_m * near_m, 0
     returns, near = splat(np.int32(0)), splat(np.int32(0))
     fresh_x, fresh_y, fresh_z = fresh[0], fresh[1], fresh[2]
+    at, step = np.empty(BLOCK + LANES, np.int32), np.empty(BLOCK + LANES, np.int32)
     for start in range(0, n, BLOCK):
         rows_from, begin = whole_block(flat, width, start, n)
-        for i in range(0, min(BLOCK, n - start), LANES):
+        size = min(BLOCK, n - start)
+        for i in range(0, size, LANES):
             x, y, z, ring = columns_of(rows_from, begin + i * width, width)
             squared = fma(x, x, fma(y, y, z * z))
             there = (squared > NO_RETURN_M2) & (squared < FAR_M2)
             returns += ones(there)
             near += ones(there & (squared < near_m2))
-            first, second = gather_pairs(packed, _cell(x, y, z, ring, width > 4, squared, columns, rows))
-            step = smaller(larger((bits(squared) - LEAST_BITS) >> 13, 0), LAST_STEP)
-            usual = _between(step, first) | _between(step, second)
+            store(at, i, _cell(x, y, z, ring, width > 4, squared, columns, rows))
+            store(step, i, select(there, smaller((bits(squared) - LEAST_BITS) >> 13, LAST_STEP), NO_STEP))
+        for i in range(0, size, LANES):  # a loop of its own: shorter ones overlap better
+            first, second = gather_pairs(packed, load(at, i))
+            own = load(step, i)
+            usual, there = _between(own, first) | _between(own, second), own >= np.int32(0)
             unusual = there & ~usual
             store(known, start + i, ~unusual)
             store(ground, start + i, there & usual & ((first & ROAD) > 0))
             found = lane_count(unusual)
             if found > 0:
+                x, y, z, _ = columns_of(rows_from, begin + i * width, width)
                 store_chosen(fresh_x, m, x, unusual)
                 store_chosen(fresh_y, m, y, unusual)
                 store_chosen(fresh_z, m, z, unusual)
                 store_chosen(source, m, lanes() + np.int32(start + i), unusual)
                 m += found
     return m, lane_sum(returns), lane_sum(near)
+
+
+@kernel
+def put_back(values, source, whole):  # type: ignore[no-untyped-def]
+    """Write what was found for the M points ``source`` (M,) of a frame where they stand in it, whole (N,)."""
+    for i in range(len(source)):
+        whole[np.uint32(source[i])] = values[i]

@@ -14,6 +14,7 @@ from services.infra_lidar.calibration_keeper import CalibrationKeeper
 from services.infra_lidar.clustering import ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.ground import Ground, Levelled
+from services.infra_lidar.kernels_background import put_back
 from services.infra_lidar.kernels_ground import beams_seen
 from services.infra_lidar.structure import StructureMap
 
@@ -37,7 +38,7 @@ class Parted:
         if self.source is None:
             return cluster_id.copy()
         whole = np.full(len(self.ground), -1, np.int32)
-        whole[self.source] = cluster_id
+        put_back(cluster_id, self.source, whole)
         return whole
 
 
@@ -65,7 +66,7 @@ class Scene:
         if calibration.refused:
             nothing = self.ground.remove(points[:0], calibration.T_level_sensor)
             no = np.zeros(len(points), bool)
-            return Parted(nothing, np.zeros(0, np.int64), no, no, Returns(len(points), len(points), 0, 0, 0))
+            return Parted(nothing, np.zeros(0, np.int32), no, no, Returns(len(points), len(points), 0, 0, 0))
         sifted = self._sift(points)
         if sifted is None:
             return self._whole(stamp_ns, points, calibration)
@@ -130,7 +131,7 @@ class Scene:
         frame = self.ground.remove_known(
             sifted.fresh, len(sifted.source), calibration.T_level_sensor, self.background.model.surface
         )
-        ground[sifted.source] = frame.ground
+        put_back(frame.ground, sifted.source, ground)
         seen = Returns(len(points), sifted.returns, sifted.near, self._beam_count, self._sector_count)
         return Parted(frame, sifted.source, ground, known, seen)
 
