@@ -202,7 +202,7 @@ def sift(points, columns, rows, packed, near_m, known, ground, source, fresh):  
             store(at, i, _cell(x, y, z, ring, width > 4, squared, columns, rows))
             store(step, i, select(there, smaller((bits(squared) - LEAST_BITS) >> 13, LAST_STEP), NO_STEP))
         for i in range(0, size, LANES):  # a loop of its own: shorter ones overlap better
-            first, second = gather_pairs(packed, load(at, i))
+            first, second = gather_pairs(packed, at, i)
             own = load(step, i)
             usual, there = _between(own, first) | _between(own, second), own >= np.int32(0)
             unusual = there & ~usual

@@ -13,7 +13,7 @@ from services.infra_lidar.kernels_surface import flat_surface, sloped_surface
 from services.infra_lidar.vectors import (
     LANES,
     fma,
-    gather,
+    gather_listed,
     lane_count,
     lane_sum,
     lanes,
@@ -228,14 +228,13 @@ def label_ground(x, y, z, cell, surface, s, ground, points, rest):  # type: igno
     """
     n, m = ground.shape[0], 0
     planes, flat = _planes(surface)
-    s0, s1, s2 = planes[0], planes[1], planes[2]
+    s0, s1, s2 = planes[0][1:], planes[1][1:], planes[2][1:]
     to_x, to_y, to_z, to_height = points[0], points[1], points[2], points[3]
     low, above, lowest = -s.below_m, s.above_m, -s.below_m if s.keep_below else -FAR_M
     for i in range(0, n, LANES):
-        c = load(cell, i) + 1
-        height = load(z, i) - gather(s0, c)
+        height = load(z, i) - gather_listed(s0, cell, i)
         if not flat:
-            height -= fma(load(x, i), gather(s1, c), load(y, i) * gather(s2, c))
+            height -= fma(load(x, i), gather_listed(s1, cell, i), load(y, i) * gather_listed(s2, cell, i))
         store(ground, i, (height >= low) & (height <= above))
         other = (height > above) | (height < lowest)
         found = lane_count(other)

@@ -126,32 +126,57 @@ def _store_in_turn(builder: Any, place: Any, vector: Any, flags: Any) -> None:
         to = builder.gep(to, [builder.zext(builder.extract_element(flags, index), _LONG)])
 
 
-def _gathered(builder: Any, first: Any, at: Any, element: Any) -> Any:
-    """A vector of elements first[at[0]], first[at[1]] ..."""
+def _gathered(builder: Any, first: Any, places: list[Any], element: Any) -> Any:
+    """A vector of elements first[places[0]], first[places[1]] ..."""
     vector = ir.Constant(ir.VectorType(element, LANES), ir.Undefined)
-    for lane in range(LANES):
-        index = ir.Constant(WORD, lane)
-        place = builder.gep(first, [builder.zext(builder.extract_element(at, index), _LONG)])
-        vector = builder.insert_element(vector, builder.load(place, align=4), index)
+    for lane, place in enumerate(places):
+        one = builder.load(builder.gep(first, [place]), align=4)
+        vector = builder.insert_element(vector, one, ir.Constant(WORD, lane))
     return vector
 
 
 def _gather(typing_context: Any, array: Any, at: Any) -> Any:
     kind = _kind_of(array)
-    return kind(array, INTS), lambda context, builder, sig, args: _gathered(
-        builder, _begin(context, builder, array, args[0]), args[1], kind.llvm.element
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        lanes = [builder.extract_element(args[1], ir.Constant(WORD, lane)) for lane in range(LANES)]
+        places = [builder.zext(lane, _LONG) for lane in lanes]
+        return _gathered(builder, _begin(context, builder, array, args[0]), places, kind.llvm.element)
+
+    return kind(array, INTS), generate
+
+
+def _listed(context: Any, builder: Any, sig: Any, args: Any) -> list[Any]:
+    """args[1][args[2]], args[1][args[2] + 1] ... as numbers of 64 bits."""
+    begin = builder.gep(
+        _begin(context, builder, sig.args[1], args[1]), [context.cast(builder, args[2], sig.args[2], types.int64)]
     )
+    loaded = [builder.load(builder.gep(begin, [ir.Constant(_LONG, lane)])) for lane in range(LANES)]
+    return [builder.sext(one, _LONG) for one in loaded]
 
 
-def _gather_pairs(typing_context: Any, array: Any, at: Any) -> Any:
+def _gather_listed(typing_context: Any, array: Any, listed: Any, at: Any) -> Any:
+    kind = _kind_of(array)
+    _kind_of(listed)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        places = _listed(context, builder, sig, args)
+        return _gathered(builder, _begin(context, builder, array, args[0]), places, kind.llvm.element)
+
+    return kind(array, listed, at), generate
+
+
+def _gather_pairs(typing_context: Any, array: Any, listed: Any, at: Any) -> Any:
+    _kind_of(listed)
+
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         first = builder.bitcast(_begin(context, builder, array, args[0]), _LONG.as_pointer())
-        pairs = _gathered(builder, first, args[1], _LONG)
+        pairs = _gathered(builder, first, _listed(context, builder, sig, args), _LONG)
         words = builder.bitcast(pairs, ir.VectorType(WORD, 2 * LANES))
         halves = [builder.shuffle_vector(words, words, lane_list(list(range(k, 2 * LANES, 2)))) for k in (0, 1)]
         return context.make_tuple(builder, sig.return_type, halves)
 
-    return types.UniTuple(_kind_of(array), 2)(array, INTS), generate
+    return types.UniTuple(_kind_of(array), 2)(array, listed, at), generate
 
 
 def _every(typing_context: Any, array: Any, at: Any, step: Any, first: Any) -> Any:
@@ -211,9 +236,16 @@ def gather(array: Any, at: Any) -> Any:
     """array[at[0]], array[at[1]] ... of ints that are not negative; float32 or int32."""
 
 
+@_named(_gather_listed)
+def gather_listed(array: Any, listed: Any, at: Any) -> Any:
+    """array[listed[at]], array[listed[at + 1]] ...: the same, and cheaper, for places that are in memory anyway, of any
+    integer type; they may be negative where there is something before the array."""
+
+
 @_named(_gather_pairs)
-def gather_pairs(array: Any, at: Any) -> Any:
-    """array[at, 0] and array[at, 1] of (N, 2) int32: two vectors by one look-up of eight bytes a lane."""
+def gather_pairs(array: Any, listed: Any, at: Any) -> Any:
+    """Both columns of rows listed[at], listed[at + 1] ... of array (N, 2) int32: two vectors by one look-up of eight
+    bytes a lane."""
 
 
 @_named(_every, prefer_literal=True)

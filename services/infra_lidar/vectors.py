@@ -25,7 +25,7 @@ from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import signature
 
-from services.infra_lidar.vector_memory import every, gather, gather_pairs, load, store, store_chosen
+from services.infra_lidar.vector_memory import every, gather, gather_listed, gather_pairs, load, store, store_chosen
 from services.infra_lidar.vector_types import (
     BIT,
     FLAGS,
@@ -51,6 +51,7 @@ __all__ = [
     "floor",
     "fma",
     "gather",
+    "gather_listed",
     "gather_pairs",
     "lane_count",
     "lane_mask",

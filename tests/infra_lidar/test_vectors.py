@@ -21,6 +21,7 @@ from services.infra_lidar.vectors import (
     floor,
     fma,
     gather,
+    gather_listed,
     gather_pairs,
     lane_count,
     lane_mask,
@@ -150,10 +151,11 @@ def test_no_comparison_holds_with_what_is_no_number():
 
 
 @numba.njit(error_model="numpy")
-def from_memory(table, pairs, at, out, halves, rows):
-    index = load(at, 0)
-    store(out, 0, gather(table, index))
-    first, second = gather_pairs(pairs, index)
+def from_memory(table, pairs, at, shorts, out, halves, rows):
+    store(out[0], 0, gather(table, load(at, 0)))
+    store(out[1], 0, gather_listed(table, at, 0))
+    store(out[2], 0, gather_listed(table[1:], shorts, 0))
+    first, second = gather_pairs(pairs, at, 0)
     store(halves[0], 0, first)
     store(halves[1], 0, second)
     store(rows[0], 0, every(table, 2, 3, 1))
@@ -167,10 +169,10 @@ def from_memory(table, pairs, at, out, halves, rows):
 def test_here_and_there_and_every_column(at):
     table = np.arange(8 * LANES + 100, dtype=np.float32) * 1.5
     pairs = np.arange(200, dtype=np.int32).reshape(100, 2)
-    out, halves = np.zeros(LANES, np.float32), np.zeros((2, LANES), np.int32)
+    out, halves = np.zeros((3, LANES), np.float32), np.zeros((2, LANES), np.int32)
     rows = np.zeros((4, LANES), np.float32)
-    from_memory(table, pairs, at, out, halves, rows)
-    assert np.array_equal(out, table[at])
+    from_memory(table, pairs, at, (at - 1).astype(np.int16), out, halves, rows)  # -1 is before the array's first
+    assert np.array_equal(out, [table[at]] * 3)
     assert np.array_equal(halves.T, pairs[at])
     for row, (step, first) in zip(rows, ((3, 1), (4, 3), (5, 0), (6, 4)), strict=True):
         assert np.array_equal(row, table[2 + first :: step][:LANES])
