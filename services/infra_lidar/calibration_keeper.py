@@ -10,7 +10,7 @@ from services.infra_lidar.calibration import Calibration, Calibrator, fit_level_
 from services.infra_lidar.config import CalibrationConfig
 from services.infra_lidar.ground import Levelled
 
-WATCH_POINTS = 4000
+LOOKED_AT, WATCH_POINTS = 30_000, 4000  # points of a frame, and of the road near the sensor, that a check goes by
 WATCH_BAND_M = 0.4  # a nudge up to this height error at 20 m is measured, a larger one loses the road and says so
 CHECKS_TO_BELIEVE = 3
 
@@ -82,9 +82,10 @@ class CalibrationKeeper:
         if not self.due(stamp_ns):
             return
         self._next_check_ns = stamp_ns + int(self._config.check_period_s * 1e9)
-        step = max(1, len(frame.x) // (20 * WATCH_POINTS))
-        x, y, z = frame.x[::step], frame.y[::step], frame.z[::step]
-        near = (x * x + y * y < self._config.radius_m**2) & (np.abs(z) < WATCH_BAND_M)
+        every = len(frame.x) // LOOKED_AT | 1  # odd: so that every beam is among them
+        x, y, z = frame.x[::every], frame.y[::every], frame.z[::every]
+        near = np.flatnonzero((x * x + y * y < self._config.radius_m**2) & (np.abs(z) < WATCH_BAND_M))
+        near = near[:: len(near) // WATCH_POINTS + 1]
         road = np.stack([x[near], y[near], z[near]], axis=1).astype(np.float64)
         if len(road) < 50:
             self._seen_lost += 1

@@ -95,8 +95,7 @@ class Ground:
             points, T_level_sensor.astype(np.float32), self._settings, self._near_m, self._histogram, frame.x, frame.y,
             frame.z, frame.cell,
         )  # fmt: skip
-        self._count[:] = self._histogram[:-1].sum(axis=1)
-        self._histogram[:] = 0
+        kernels.count_cells(self._histogram, self._count)
         return frame
 
     @property

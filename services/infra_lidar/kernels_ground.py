@@ -194,6 +194,17 @@ def cell_heights(histogram, s, number, height):  # type: ignore[no-untyped-def]
                 fours[c, k] = np.uint64(0)
 
 
+@kernel
+def count_cells(histogram, number):  # type: ignore[no-untyped-def]
+    """The number of points of each cell, where nothing else is asked of its heights. What was counted is cleared."""
+    fours, bins = histogram.view(np.uint64), histogram.shape[1]
+    for c in range(number.shape[0]):
+        number[c] = _sum(fours, c, 0, bins)
+        if number[c] > 0:
+            for k in range(bins // 4):
+                fours[c, k] = np.uint64(0)
+
+
 @inline
 def _sum(fours, c, first, last):  # type: ignore[no-untyped-def]
     """Sum of the counts of bins ``first`` to ``last`` of a cell, four at a time: as long as no count overflows, neither
