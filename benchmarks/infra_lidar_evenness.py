@@ -9,6 +9,7 @@ out.
 
 from __future__ import annotations
 
+import gc
 import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -23,6 +24,7 @@ from benchmarks.article_both import START_NS, ArticleByKernels, train
 from benchmarks.roadside_frames import Frame, as_arrived, turns
 from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
 from services.infra_lidar.pipeline import InfraLidarPipeline
+from services.infra_lidar.warm_up import warm_up
 
 FRAMES, FIRST = 440, 40
 
@@ -34,6 +36,8 @@ def _design(background: BackgroundConfig) -> Callable[[int, Frame], object]:
 
 def main() -> None:
     _, forest = train()
+    warm_up(InfraLidarConfig(), lambda _: None)
+    gc.freeze()  # as the service does: what is there by now is not looked through for garbage again
     article = ArticleByKernels(forest)
     learning = BackgroundConfig(learn_s=3.0, min_frames=30, azimuth_cells=2300)
     for objects in (40, 160):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import sys
 
@@ -30,6 +31,7 @@ def run(config: InfraLidarConfig) -> bool:
     with Service("infra_lidar", config) as service:
         frames = open_source(config, service.report)
         warm_up(config, lambda text: service.report.state("starting", text))
+        gc.freeze()  # a million objects of the compiler stay for good; to look for garbage among them costs 0.1 s
         pipeline = InfraLidarPipeline(config, *store.load())
         request = RecalibrationRequest(service)
         publish_tracks = service.publisher(INFRA_TRACKS)

@@ -25,7 +25,7 @@ from services.infra_lidar.features import compute_features
 from services.infra_lidar.ground import Levelled
 from services.infra_lidar.kernels_ground import beams_seen
 from services.infra_lidar.pipeline import InfraLidarPipeline
-from services.infra_lidar.tracking import Detections
+from services.infra_lidar.tracking import Detections, MultiObjectTracker
 
 log = logging.getLogger(__name__)
 
@@ -46,8 +46,9 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
             tell("compiling kernels: on the first start on this machine, about half a minute")
             _compile_by_two(small)
         pipeline = InfraLidarPipeline(small)
-        for k in range(9):  # to the end of learning and beyond
+        for k in (*range(9), 60):  # to the end of learning, beyond, and until the pole is looked after again
             pipeline.process((10 + k) * FRAME_NS, frame)
+        follow_people(pipeline.tracker)
     watch.lap("warm-up")
     log.info("kernels ready after %.1f s", watch.stage_ms["warm-up"] / 1e3)
     return watch.stage_ms["warm-up"]
@@ -80,12 +81,20 @@ def compile_scene_and_tracks(config: InfraLidarConfig, frame: np.ndarray) -> Non
         stamp_ns = (10 + k) * FRAME_NS
         parted = pipeline.scene.part(stamp_ns, frame, pipeline.calibration.update(frame))
         pipeline.scene.learn(stamp_ns, frame, parted, nobody)
-    seen = Detections(
-        position_m=np.array([[9.0, 0.0, 0.9], [9.0, 3.0, 0.9]]), size_m=np.full((2, 3), [0.5, 0.5, 1.7]),
-        yaw_rad=np.zeros(2), labels=["pedestrian"] * 2, confidence=np.full(2, 0.9),
-    )  # fmt: skip
-    for k in range(5):
-        pipeline.tracker.update((10 + k) * FRAME_NS, seen)
+    follow_people(pipeline.tracker)
+
+
+def follow_people(tracker: MultiObjectTracker) -> None:
+    """Two people side by side, who then stand so close that they are one cluster, which is cut."""
+    two = np.array([[9.0, 0.0, 0.9], [9.0, 0.8, 0.9]]), np.array([[0.5, 0.5, 1.7], [0.5, 0.5, 1.7]])
+    one = np.array([[9.0, 0.4, 0.9]]), np.array([[1.3, 0.5, 1.7]])
+    for k, (position_m, size_m) in enumerate((*[two] * 12, one)):
+        count = len(position_m)
+        seen = Detections(
+            position_m=position_m, size_m=size_m, yaw_rad=np.full(count, 0.5 * np.pi), labels=["pedestrian"] * count,
+            confidence=np.full(count, 0.9), points=np.full(count, 50),
+        )  # fmt: skip
+        tracker.update((10 + k) * FRAME_NS, seen)
 
 
 def compile_clusters(config: InfraLidarConfig) -> None:
