@@ -22,6 +22,7 @@ from services.infra_lidar.ordering import sort_rising
 from services.infra_lidar.vectors import (
     LANES,
     fma,
+    lane_count,
     lane_max,
     lane_min,
     lane_sum,
@@ -33,6 +34,7 @@ from services.infra_lidar.vectors import (
     smaller,
     splat,
     store,
+    store_chosen,
     whole,
 )
 
@@ -229,34 +231,32 @@ def _rank_columns(
     lowest, per_m = splat(np.float32(low)), splat(np.float32((_BINS - 1) / tall if tall > 1e-6 else 0.0))
     for i in range(0, n, LANES):
         store(bins, i, smaller(whole((load(z, i) - lowest) * per_m), np.int32(_BINS - 1)))
-    start, quarter = np.zeros(_BINS + 1, np.int32), n // 4
+    count, quarter = np.zeros(_BINS, np.int32), n // 4
     for i in range(n):
-        start[np.uint32(bins[in_turn(i, quarter)]) + np.uint32(1)] += 1
-    for b in range(_BINS):
-        start[b + 1] += start[b]
-    slot = np.full(_BINS, -1, np.int32)  # where the next height of a bin goes, -1: holds no rank
-    b = 0
-    for j in range(6):
-        while start[b + 1] <= int(RANKS[j] * (n - 1)):
-            b += 1
-        slot[b] = start[b]
-    for i in range(n):
-        at = slot[bins[i]]
-        if at >= 0:  # a few in a hundred
-            work[at] = z[i]
-            slot[bins[i]] = at + 1
-    ranks = np.empty(6, np.float32)
-    b = 0
+        count[np.uint32(bins[in_turn(i, quarter)])] += 1
+    ranks, b, held, before = np.empty(6, np.float32), -1, 0, 0
     for j in range(6):
         k = int(RANKS[j] * (n - 1))
-        while start[b + 1] <= k:
-            b += 1
-        segment = work[start[b] : start[b + 1]]
-        sort_rising(segment)
-        ranks[j] = segment[k - start[b]]
+        if k >= before + held:
+            while k >= before + held:
+                b, before = b + 1, before + held
+                held = count[b]
+            _keep_bin(z, bins, n, b, work)
+            sort_rising(work[:held])
+        ranks[j] = work[k - before]
     row[6], row[24], row[7] = base + ranks[2], base + ranks[3], base + ranks[4]
     row[20] = ranks[5] - ranks[0]
     row[30] = (ranks[1] - ranks[0]) / tall if tall > 1e-6 else 0.0
+
+
+@inline
+def _keep_bin(z, bins, n, wanted, kept):  # type: ignore[no-untyped-def]
+    """Copy the heights of bin ``wanted``."""
+    m = 0
+    for i in range(0, n, LANES):
+        here = (load(bins, i) == np.int32(wanted)) & (lanes() < np.int32(n - i))
+        store_chosen(kept, m, load(z, i), here)
+        m += lane_count(here)
 
 
 @inner

@@ -1,9 +1,9 @@
 """How evenly the points of a cluster are spaced: exact nearest neighbours, ``LANES`` points at a time.
 
-A cluster is sorted into cubic cells of about five points, in rows along its longest axis. Consecutive points of a row
-search together, one a lane, in the cells around theirs; the window is widened until no point outside of it can be
-nearer than the fifth found. At the end of every row lie points that are nowhere, so that candidates can be taken four
-at a time without asking where the row ends; those taken beyond the window are points like any others.
+A cluster is sorted into cubic cells of about seven points, in rows along its longest axis. Consecutive points of a row
+search together, one a lane, in the cells around theirs; the window is widened until for none of them a point outside of
+it can be nearer than the fifth found. At the end of every row lie points that are nowhere, so that candidates can be
+taken four at a time without asking where the row ends; those taken beyond the window are points like any others.
 
 Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
 """
@@ -20,13 +20,12 @@ from services.infra_lidar.vectors import (
     LANES,
     bits,
     fma,
-    lane_max,
+    lane_count,
     lane_sum,
     lanes,
     larger,
     load,
     root,
-    select,
     smaller,
     splat,
     store,
@@ -35,13 +34,14 @@ from services.infra_lidar.vectors import (
 )
 
 NEIGHBOURS = 5
-_PER_CELL = 5.0
+_PER_CELL = 7.0
 _TOO_MANY = 2.0 * _PER_CELL  # in an occupied cell: then a finer grid pays
 _SHARE_SEEN = 0.42  # of the faces of a cluster's box, by what its points occupy of a grid
 _CELLS_PER_POINT = 4
 _STEP = 4  # candidates at a time
 _NOWHERE_M = np.float32(1e6)
 _FAR_M2 = np.float32(1e12)
+_NOWHERE_DEPTH_M = np.float32(2e6)  # its square is more than _FAR_M2
 
 
 def room_for(largest: int) -> tuple[int, int]:
@@ -172,7 +172,7 @@ def _search_all(placed, start, grid, n, mean, nearest):  # type: ignore[no-untyp
 
     All lanes are written: what the spare ones say is overwritten by the next batch, or lies behind the last point.
     """
-    a, b, c, done, none = placed[0], placed[1], placed[2], 0, splat(np.float32(0.0))
+    a, b, c, done = placed[0], placed[1], placed[2], 0
     layers, rows, columns, cell_m = grid
     per_m = np.float32(1.0 / cell_m)
     for layer in range(layers):
@@ -189,11 +189,10 @@ def _search_all(placed, start, grid, n, mean, nearest):  # type: ignore[no-untyp
                     s1, s2, s3, s4, s5 = _nearest(
                         a, b, c, start, layer, row, left, right, ring, layers, rows, columns, x, y, z
                     )
-                    farthest_m2 = lane_max(select(used, unbits(s5), none))
-                    complete = farthest_m2 <= np.float32((0.999 * ring * cell_m) ** 2) or (
-                        left <= ring and right + ring >= columns - 2
-                        and max(layer, layers - 1 - layer) <= ring and max(row, rows - 1 - row) <= ring
-                    )  # fmt: skip
+                    depth = _depth(x, layer - ring, layer + ring, layers, cell_m)
+                    depth = smaller(depth, _depth(y, row - ring, row + ring, rows, cell_m))
+                    depth = smaller(depth, _depth(z, left - ring, right + ring, columns - 1, cell_m))
+                    complete = lane_count(used & (s5 > bits(depth * depth))) == 0
                 d1 = root(unbits(s1))
                 store(nearest, done, d1)
                 store(
@@ -202,6 +201,17 @@ def _search_all(placed, start, grid, n, mean, nearest):  # type: ignore[no-untyp
                     * np.float32(1.0 / NEIGHBOURS),
                 )  # fmt: skip
                 done += last - first + 1
+
+
+@inline
+def _depth(x, first, last, cells, cell_m):  # type: ignore[no-untyped-def]
+    """How far inside of the cells ``first`` to ``last`` of an axis places are; beyond the end of the grid is nothing."""
+    low, high = splat(-_NOWHERE_DEPTH_M), splat(_NOWHERE_DEPTH_M)
+    if first > 0:
+        low = splat(np.float32(first * cell_m))
+    if last < cells - 1:
+        high = splat(np.float32((last + 1) * cell_m))
+    return smaller(x - low, high - x) * np.float32(0.999)
 
 
 @inline

@@ -59,7 +59,7 @@ class Ground:
         self._settings = _settings(config, self.sectors, kernels.bin_place(lowest))
         bins = int(np.ceil(kernels.bin_place(highest) - kernels.bin_place(lowest))) + 1
         bins += -bins % kernels.CHUNK
-        self._histogram = np.zeros((cells + 1, bins), np.uint16)
+        self._histogram = np.zeros((cells, bins), np.uint16)
         self._count = np.zeros(cells, np.int32)
         self.height_m = np.full(cells, np.nan, np.float32)
         self.surface = np.zeros((cells, 3), np.float32)

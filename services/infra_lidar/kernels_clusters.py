@@ -10,42 +10,48 @@ import numpy as np
 
 from services.infra_lidar.extremes import low_high
 from services.infra_lidar.jit import inline, inner, sum_kernel
+from services.infra_lidar.kernels_runs import find_runs
 from services.infra_lidar.vectors import LANES, fma, lane_max, lane_min, lane_sum, larger, load, smaller, splat, store
 
 
 @inner
 def regroup(  # type: ignore[no-untyped-def]
-    begin, label, components, fewest, most, across, widest, points, source, number, offsets, flat, grouped_source, box
+    begin, label, components, fewest, most, across, widest, points, source, scratch, offsets, flat, grouped_source, box
 ):
     """Copy the points so that those of a label lie together, label by label, and measure each of these clusters.
 
     begin (R + 1,) int: where runs of points of one label begin; label (R,) int32 in -1 .. components - 1. -1 is left
     out, and so are labels of fewer than ``fewest`` points or more than ``most``, and those that are more than
     ``widest`` cells ``across`` (components,), none = unknown. Written: offsets (K + 1,), where each cluster begins;
-    flat, the head of which becomes a (4, T) array of points; grouped_source (T,); box (K, 8), see ``measure``. number
-    (components,) int32 is scratch. Returns (K, T).
+    flat, the head of which becomes a (4, T) array of points; grouped_source (T,); box (K, 8), see ``measure``. scratch
+    (2, R + 1 and components + 1 or more) int32. Returns (K, T).
     """
-    clusters, total = _number_clusters(begin, label, components, fewest, most, across, widest, number, offsets)
+    spans, number = scratch[0], scratch[1]
+    begins = spans[: find_runs(label, spans) + 1]  # of runs: those of one label, one behind the other, are one span
+    clusters, total = _number_clusters(begin, label, begins, components, fewest, most, across, widest, number, offsets)
     there = flat[: 4 * total].reshape(4, total)
-    _arrange(begin, label, number, offsets[:clusters], points, source, there, grouped_source)
+    _arrange(begin, label, begins, number, offsets[:clusters], points, source, there, grouped_source)
     measure(there, offsets[: clusters + 1], box)
     return clusters, total
 
 
 @inner
-def _number_clusters(begin, label, components, fewest, most, across, widest, number, offsets):  # type: ignore[no-untyped-def]
-    """number (components,): the cluster that a label becomes, -1 = left out. Returns (clusters, points)."""
-    number[:components] = 0
-    for r in range(len(label)):
-        if label[r] >= 0:
-            number[np.uint32(label[r])] += begin[r + 1] - begin[r]
+def _number_clusters(  # type: ignore[no-untyped-def]
+    begin, label, begins, components, fewest, most, across, widest, number, offsets
+):
+    """number (components + 1,): the cluster that label -1, 0, 1 ... becomes, -1 = left out. Returns (clusters,
+    points)."""
+    number[: components + 1] = 0
+    for r in range(len(begins) - 1):
+        number[np.uint32(label[begins[r]] + 1)] += begin[begins[r + 1]] - begin[begins[r]]
+    number[0] = -1
     clusters, total = 0, 0
     for c in range(components):
-        count = number[c]
-        number[c] = -1
+        count = number[c + 1]
+        number[c + 1] = -1
         if max(fewest, 1) <= count <= most and (len(across) == 0 or across[c] <= widest):
             offsets[clusters] = total
-            number[c] = clusters
+            number[c + 1] = clusters
             clusters += 1
             total += count
     offsets[clusters] = total
@@ -53,30 +59,36 @@ def _number_clusters(begin, label, components, fewest, most, across, widest, num
 
 
 @inner
-def _arrange(begin, label, number, offsets, points, source, there, there_source):  # type: ignore[no-untyped-def]
-    """A stable counting sort by ``number[label]``, run by run; runs of one label, one behind the other, at once."""
-    slot, r = offsets.copy(), 0
-    while r < len(label):
-        first, k = begin[r], label[r]
-        while r < len(label) and label[r] == k:
-            r += 1
-        k = number[np.uint32(k)] if k >= 0 else np.int32(-1)
+def _arrange(begin, label, begins, number, offsets, points, source, there, there_source):  # type: ignore[no-untyped-def]
+    """A stable counting sort by the clusters of labels, span by span."""
+    slot = offsets.copy()
+    for r in range(len(begins) - 1):
+        k = number[np.uint32(label[begins[r]] + 1)]
         if k < 0:
             continue
-        n, to = begin[r] - first, slot[np.uint32(k)]
+        first = begin[begins[r]]
+        n, to = begin[begins[r + 1]] - first, slot[np.uint32(k)]
         slot[np.uint32(k)] += n
-        for row in range(4):
-            _copy(points[row], first, n, there[row], to)
-        _copy(source, first, n, there_source, to)
+        if n < LANES:
+            _copy_few(points, source, first, n, there, there_source, to)
+        else:
+            for row in range(4):
+                _copy(points[row], first, n, there[row], to)
+            _copy(source, first, n, there_source, to)
+
+
+@inline
+def _copy_few(points, source, first, n, there, there_source, to):  # type: ignore[no-untyped-def]
+    """All rows in one loop: where it ends is hard to foresee, once is enough."""
+    for i in range(np.uint64(n)):
+        a, b = np.uint64(first) + i, np.uint64(to) + i
+        there[0, b], there[1, b], there[2, b], there[3, b] = points[0, a], points[1, a], points[2, a], points[3, a]
+        there_source[b] = source[a]
 
 
 @inline
 def _copy(values, first, n, out, to):  # type: ignore[no-untyped-def]
-    """out[to : to + n] = values[first : first + n]."""
-    if n < LANES:
-        for i in range(np.uint64(n)):
-            out[np.uint64(to) + i] = values[np.uint64(first) + i]
-        return
+    """out[to : to + n] = values[first : first + n], LANES or more."""
     for i in range(0, n - LANES, LANES):
         store(out, to + i, load(values, first + i))
     store(out, to + n - LANES, load(values, first + n - LANES))  # once more what is left over

@@ -58,7 +58,7 @@ def find_ground(  # type: ignore[no-untyped-def]
     them closer than near_m).
     """
     returns, near = level(points, T, s, near_m, histogram, x, y, z, cell)
-    cell_heights(histogram[:-1], s, number, height)
+    cell_heights(histogram, s, number, height)
     fit = height.reshape(accepted.shape)
     if s.flat:
         flat_surface(fit, s, surface, accepted)
@@ -94,36 +94,35 @@ def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-un
     """Rotate and shift (N, 3+) float32 sensor-frame points into planar level-frame x, y, z (N,) float32.
 
     cell (N,) int16 is the polar cell, ring * sectors + sector, or CLIPPED. Points closer than half a metre or not
-    finite get z = NaN and are clipped. histogram (cells + 1, bins) uint16, cleared, counts heights, the first bin
-    beginning at ``s.first_place``; those outside go to the end bins, and clipped points to the last row, so that
-    nothing has to be decided. All outputs have room for a vector more. Returns (returns, those of them closer than
-    near_m).
+    finite get z = NaN and are clipped. histogram (cells, bins) uint16, cleared, counts heights, the first bin beginning
+    at ``s.first_place``; those outside go to the end bins. All outputs have room for a vector more. Returns (returns,
+    those of them closer than near_m).
     """
     n, width = points.shape
     flat, counts = points.reshape(points.size), histogram.reshape(histogram.size)
     at, returns, near = np.empty(BLOCK + LANES, np.int32), splat(np.int32(0)), splat(np.int32(0))
     grid, first_place = _polar_grid(s), splat(s.first_place)
-    cells, bins, near_m2 = histogram.shape[0] - 1, histogram.shape[1], near_m * near_m
+    bins, near_m2 = histogram.shape[1], near_m * near_m
     for start in range(0, n, BLOCK):
         source, begin = whole_block(flat, width, start, n)
-        size = min(BLOCK, n - start)
+        size, m = min(BLOCK, n - start), 0
         for i in range(0, size, LANES):
             a, b, c, _ = columns_of(source, begin + i * width, width)
             squared = fma(a, a, fma(b, b, c * c))
             there = (squared > NO_RETURN_M2) & (squared < FAR_M2)
             returns += ones(there)
             near += ones(there & (squared < near_m2))
-            lx, ly, lz = _turned(a, b, c, T)
+            lx, ly, height = _turned(a, b, c, T)
+            height = select(there, height, NOT_A_NUMBER)
             store(x, start + i, lx)
             store(y, start + i, ly)
-            store(z, start + i, select(there, lz, NOT_A_NUMBER))
-        for i in range(start, start + size, LANES):  # a loop of its own: shorter ones overlap better
-            height = load(z, i)
-            k, inside = _polar_cell(load(x, i), load(y, i), height, grid)
-            store(cell, i, select(inside, k, CLIPPED))
+            store(z, start + i, height)
+            k, inside = _polar_cell(lx, ly, height, grid)
+            store(cell, start + i, select(inside, k, CLIPPED))
             bin_ = smaller(larger(whole(_bin_place(height) - first_place), 0), np.int32(bins - 1))
-            store(at, i - start, select(inside, k * np.int32(bins) + bin_, np.int32(cells * bins)))
-        for i in range(size):
+            store_chosen(at, m, k * np.int32(bins) + bin_, inside)
+            m += lane_count(inside)
+        for i in range(m):
             counts[np.uint32(at[i])] += np.uint16(1)
     return lane_sum(returns), lane_sum(near)
 

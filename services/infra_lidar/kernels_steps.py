@@ -47,13 +47,13 @@ def find_clusters(points, m, source, s, look, ints, floats, grid, touched, row_s
         runs, components = _label_high(points, m, s, components, ints, floats, grid, touched, row_start)
 
     # What may be a cluster or a part of one, as copies that lie together
-    number, room = ints[3], floats.shape[1]
+    scratch, room = ints[3:5], floats.shape[1]
     sets = floats[:4].reshape(4 * room), floats[4:8].reshape(4 * room)
     first, second = (ints[9], ints[10]), (ints[11], ints[12])  # offsets and index in the frame
     box = np.empty((components, 8), np.float32)
     count, total = regroup(
         begin[: runs + 1], label[:runs], components, s.fewest, s.max_points, across[:components], s.widest, points,
-        source, number, first[0], sets[0], first[1], box,
+        source, scratch, first[0], sets[0], first[1], box,
     )  # fmt: skip
     grouped, offsets, index = sets[0][: 4 * total].reshape(4, total), first[0][: count + 1], first[1][:total]
 
@@ -64,7 +64,7 @@ def find_clusters(points, m, source, s, look, ints, floats, grid, touched, row_s
         merge_fragments(box[:count], counts, MIN_FRAGMENT_POINTS, group)
         adopt_strays(box[:count], counts, s.min_points, group)
         count, total = regroup(
-            offsets, group, count, all_of_them, total, across[:0], anywhere, grouped, index, number, second[0],
+            offsets, group, count, all_of_them, total, across[:0], anywhere, grouped, index, scratch, second[0],
             sets[1], second[1], box,
         )  # fmt: skip
         grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
@@ -81,7 +81,7 @@ def find_clusters(points, m, source, s, look, ints, floats, grid, touched, row_s
         begins, label = begin[: runs + 1], ints[1][:runs]
     if change:
         count, total = regroup(
-            begins, label, labels, all_of_them, total, across[:0], anywhere, grouped, index, number, second[0],
+            begins, label, labels, all_of_them, total, across[:0], anywhere, grouped, index, scratch, second[0],
             sets[1], second[1], box,
         )  # fmt: skip
         grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
