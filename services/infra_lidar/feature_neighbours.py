@@ -35,8 +35,8 @@ from services.infra_lidar.vectors import (
 
 NEIGHBOURS = 5
 _PER_CELL = 7.0
-_TOO_MANY = 2.0 * _PER_CELL  # in an occupied cell: then a finer grid pays
-_SHARE_SEEN = 0.42  # of the faces of a cluster's box, by what its points occupy of a grid
+_TOO_MANY = 3.0 * _PER_CELL  # in an occupied cell: then a finer grid pays
+_SHARE_SEEN = 0.55  # of the faces of a cluster's box, by what its points occupy of a grid
 _CELLS_PER_POINT = 4
 _STEP = 4  # candidates at a time
 _NOWHERE_M = np.float32(1e6)
@@ -205,7 +205,7 @@ def _search_all(placed, start, grid, n, mean, nearest):  # type: ignore[no-untyp
 
 @inline
 def _depth(x, first, last, cells, cell_m):  # type: ignore[no-untyped-def]
-    """How far inside of the cells ``first`` to ``last`` of an axis places are; beyond the end of the grid is nothing."""
+    """How far inside of the cells ``first`` to ``last`` of an axis places are; beyond the grid's end is nothing."""
     low, high = splat(-_NOWHERE_DEPTH_M), splat(_NOWHERE_DEPTH_M)
     if first > 0:
         low = splat(np.float32(first * cell_m))

@@ -1,7 +1,7 @@
 """A random forest as plain arrays: stored in one ``.npz``, run by one compiled kernel, no training library needed.
 
 The two children of a node lie side by side, so a step down is ``child + (x > threshold)``. A leaf is its own child with
-an infinite threshold: rows that arrive early wait there, and 16 rows walk down a tree in lock step without branches.
+an infinite threshold: rows that arrive early wait there, and all lanes of a vector walk down a tree in lock step.
 """
 
 from __future__ import annotations
@@ -16,8 +16,20 @@ from typing import Any
 import numpy as np
 
 from services.infra_lidar.jit import inline, inner, kernel
+from services.infra_lidar.vectors import (
+    LANES,
+    gather,
+    gather_listed,
+    gather_pairs,
+    lane_count,
+    lanes,
+    load,
+    ones,
+    splat,
+    store,
+    unbits,
+)
 
-_LANES = 16
 _COLUMN_BITS = 8  # so many columns of x, and 2 ** 23 nodes, fit into a word
 _ARRAYS = ("feature", "threshold", "child", "leaf", "value", "root", "depth", "calibration_x", "calibration_y")
 
@@ -49,19 +61,17 @@ class Forest:
             raise ValueError(f"features: expected shape (K, {len(self.features)}), got {x.shape}")
         rows = np.ascontiguousarray(x, np.float32)
         out = np.zeros((len(rows), self.value.shape[1]), np.float32)
-        nodes, thresholds = self._packed
-        _walk(rows, nodes, thresholds, self.leaf, self.value, self.root, self.depth, out)
+        _walk(rows, self._packed, self.leaf, self.value, self.root, self.depth, out)
         return out
 
     @cached_property
-    def _packed(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes as eight bytes each, (N, 2) int32 and the same memory as float32: child and column in one word, then
-        the threshold. One cache line a step instead of three."""
+    def _packed(self) -> np.ndarray:
+        """Nodes as eight bytes each, (N, 2) int32: child and column in one word, then the bits of the threshold. One
+        cache line a step instead of three."""
         nodes = np.empty((len(self.feature), 2), np.int32)
         nodes[:, 0] = (self.child << _COLUMN_BITS) | self.feature
-        thresholds = nodes.view(np.float32)
-        thresholds[:, 1] = self.threshold
-        return nodes, thresholds
+        nodes[:, 1] = self.threshold.view(np.int32)
+        return nodes
 
     def probabilities(self, x: np.ndarray) -> np.ndarray:
         """(K, C) float32 calibrated probabilities, each row sums to 1."""
@@ -134,21 +144,26 @@ def _check(forest: Forest, path: Path) -> None:
 
 @kernel
 def _walk(
-    x: np.ndarray, nodes: np.ndarray, thresholds: np.ndarray, leaf: np.ndarray, value: np.ndarray, root: np.ndarray,
-    depth: np.ndarray, out: np.ndarray,
+    x: np.ndarray, nodes: np.ndarray, leaf: np.ndarray, value: np.ndarray, root: np.ndarray, depth: np.ndarray,
+    out: np.ndarray,
 ) -> None:  # fmt: skip
-    trees, rows = len(root), len(x)
-    node, here = np.empty(_LANES, np.uint32), np.empty((x.shape[1], _LANES), np.float32)
-    for start in range(0, rows, _LANES):
-        lanes = min(_LANES, rows - start)
-        _take_rows(x[start : start + lanes], here)
+    trees, rows, columns = len(root), len(x), x.shape[1]
+    classes, shares = value.shape[1], value.reshape(value.size)
+    total = np.zeros(classes * LANES, np.float32)
+    node, here = np.empty(LANES, np.int32), np.zeros(columns * LANES, np.float32)
+    for start in range(0, rows, LANES):
+        taken = min(LANES, rows - start)
+        _take_rows(x[start : start + taken], here)
+        total[:] = 0.0
         for t in range(trees):
-            node[:] = root[t]
-            _descend(here, nodes, thresholds, depth[t], lanes, node)
-            for lane in range(lanes):
-                shares = value[leaf[node[lane]]]
-                for c in range(len(shares)):
-                    out[start + lane, c] += shares[c] / trees
+            store(node, 0, splat(root[t]))
+            _descend(here, nodes, depth[t], node)
+            store(node, 0, gather_listed(leaf, node, 0) * np.int32(classes))
+            for c in range(classes):
+                store(total, c * LANES, load(total, c * LANES) + gather_listed(shares[c:], node, 0))
+        for lane in range(taken):
+            for c in range(classes):
+                out[start + lane, c] = total[c * LANES + lane] / np.float32(trees)
 
 
 @inner
@@ -157,23 +172,22 @@ def _take_rows(x: np.ndarray, here: np.ndarray) -> None:
     for lane in range(len(x)):
         for column in range(x.shape[1]):
             number = x[lane, column]
-            here[column, lane] = number if number == number else np.float32(0.0)
+            here[column * LANES + lane] = number if number == number else np.float32(0.0)
 
 
 @inline
-def _descend(here, nodes, thresholds, depth, lanes, node):  # type: ignore[no-untyped-def]
+def _descend(here, nodes, depth, node):  # type: ignore[no-untyped-def]
     """Walk down one tree with all lanes at once."""
-    mask = np.uint32((1 << _COLUMN_BITS) - 1)
+    mask, own = np.int32((1 << _COLUMN_BITS) - 1), lanes()
+    at = load(node, 0)
     for _ in range(depth):
-        moved = np.uint32(0)
-        for lane in range(lanes):
-            at = node[lane]
-            word = np.uint32(nodes[at, 0])
-            right = here[word & mask, lane] > thresholds[at, 1]
-            node[lane] = (word >> np.uint32(_COLUMN_BITS)) + np.uint32(right)
-            moved |= node[lane] ^ at
-        if moved == 0:  # all of them have arrived
+        word, threshold = gather_pairs(nodes, node, 0)
+        right = gather(here, (word & mask) * np.int32(LANES) + own) > unbits(threshold)
+        following = (word >> np.int32(_COLUMN_BITS)) + ones(right)
+        store(node, 0, following)
+        if lane_count(following != at) == 0:  # all of them have arrived
             break
+        at = following
 
 
 @kernel
