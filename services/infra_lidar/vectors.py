@@ -54,7 +54,6 @@ __all__ = [
     "gather_listed",
     "gather_pairs",
     "lane_count",
-    "lane_mask",
     "lane_max",
     "lane_min",
     "lane_sum",
@@ -167,18 +166,13 @@ def ones(flags: Any) -> Any:
     """1 where a flag is set, else 0."""
 
 
-def _word(builder: Any, flags: Any) -> Any:
-    return builder.bitcast(flags, ir.IntType(LANES))
+def _count(builder: Any, flags: Any) -> Any:
+    return builder.zext(builder.ctpop(builder.bitcast(flags, ir.IntType(LANES))), WORD)
 
 
-@_function({FLAGS: lambda builder, flags: builder.zext(builder.ctpop(_word(builder, flags)), WORD)}, types.int32)
+@_function({FLAGS: _count}, types.int32)
 def lane_count(flags: Any) -> Any:
     """How many flags are set."""
-
-
-@_function({FLAGS: lambda builder, flags: builder.zext(_word(builder, flags), WORD)}, types.uint32)
-def lane_mask(flags: Any) -> Any:
-    """One bit a lane, the first lane lowest."""
 
 
 def _fold(join: dict[Vector, Emit]) -> Callable[[Callable[..., Any]], Any]:

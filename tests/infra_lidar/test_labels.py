@@ -8,8 +8,19 @@ from scipy import ndimage
 
 from services.infra_lidar import kernels_labels as kernels
 from services.infra_lidar.kernels_runs import find_runs
+from services.infra_lidar.vectors import LANES
 
 ONES = np.ones((3, 3), int)
+
+
+@given(st.lists(st.tuples(st.integers(-3, 3), st.integers(1, 40)), max_size=12))
+@settings(deadline=None, max_examples=60)
+def test_runs_begin_where_the_number_changes(pieces):
+    values = np.array([number for number, times in pieces for _ in range(times)], np.int32)
+    begin = np.zeros(len(values) + 1 + LANES, np.int32)
+    runs = find_runs(values, begin)
+    changes = [i for i in range(len(values)) if i == 0 or values[i] != values[i - 1]]
+    assert begin[: runs + 1].tolist() == [*changes, len(values)]
 
 
 def _label(cells, connectivity):
@@ -17,7 +28,7 @@ def _label(cells, connectivity):
     side, words = cells.shape[0], (cells.shape[1] + 63) // 64
     row, column = (a.astype(np.int32) for a in np.nonzero(cells))
     grid, touched = np.zeros((side, words, 4), np.uint64), np.zeros((side, (words + 63) // 64), np.uint64)
-    key, begin = 2 * (row * np.int32(64 * words) + column) + 1, np.zeros(len(row) + 1, np.int32)
+    key, begin = 2 * (row * np.int32(64 * words) + column) + 1, np.zeros(len(row) + 1 + LANES, np.int32)
     keys = find_runs(key, begin)
     kernels.occupy(key, begin, keys, grid, touched)
     parent, first, last = (np.zeros(len(row) + 1, np.int32) for _ in range(3))
@@ -67,7 +78,7 @@ def test_corners_join_only_with_eight():
 def test_cells_with_two_points_are_told_apart():
     row, column = np.array([0, 0, 1], np.int32), np.array([70, 70, 3], np.int32)
     grid, touched = np.zeros((2, 2, 4), np.uint64), np.zeros((2, 1), np.uint64)
-    key, begin = 2 * (row * np.int32(128) + column) + 1, np.zeros(4, np.int32)
+    key, begin = 2 * (row * np.int32(128) + column) + 1, np.zeros(4 + LANES, np.int32)
     kernels.occupy(key, begin, find_runs(key, begin), grid, touched)
     assert grid[0, 1, kernels.TWICE] == np.uint64(1 << 6)
     assert grid[1, 0, kernels.TWICE] == 0
