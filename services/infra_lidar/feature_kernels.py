@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from services.infra_lidar.buffers import Buffers
-from services.infra_lidar.feature_neighbours import in_turn, room_for, spacing
+from services.infra_lidar.extremes import in_turn
+from services.infra_lidar.feature_neighbours import room_for, spacing
 from services.infra_lidar.jit import inline, inner, kernel
 from services.infra_lidar.ordering import sort_rising
 from services.infra_lidar.vectors import (

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from services.infra_lidar.extremes import low_high
+from services.infra_lidar.extremes import in_turn, low_high
 from services.infra_lidar.jit import inline, inner
 from services.infra_lidar.vectors import (
     LANES,
@@ -137,12 +137,6 @@ def _count(a, b, c, n, corner, grid, cell, start):  # type: ignore[no-untyped-de
         start[k] = at
         k += np.uint32(1)
     return occupied
-
-
-@inline
-def in_turn(i, quarter):  # type: ignore[no-untyped-def]
-    """The i-th of all points when the four quarters take turns: neighbours would wait for each other's counter."""
-    return np.uint32(i) if i >= 4 * quarter else np.uint32((i & 3) * quarter + (i >> 2))
 
 
 @inner
