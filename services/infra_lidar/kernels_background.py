@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, inner, kernel
-from services.infra_lidar.kernels_returns import BLOCK, PI, angle, columns_of, whole_block
+from services.infra_lidar.kernels_returns import BLOCK, PI, angle, columns_of, fetch_ahead, whole_block
 from services.infra_lidar.vectors import (
     LANES,
     bits,
@@ -194,6 +194,7 @@ def sift(points, columns, rows, packed, near_m, known, ground, source, fresh):  
         rows_from, begin = whole_block(flat, width, start, n)
         size = min(BLOCK, n - start)
         for i in range(0, size, LANES):
+            fetch_ahead(flat, (start + i) * width, width)
             x, y, z, ring = columns_of(rows_from, begin + i * width, width)
             squared = fma(x, x, fma(y, y, z * z))
             there = (squared > NO_RETURN_M2) & (squared < FAR_M2)

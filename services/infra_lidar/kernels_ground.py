@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, inner, kernel
-from services.infra_lidar.kernels_returns import BLOCK, PI, angle, columns_of, whole_block
+from services.infra_lidar.kernels_returns import BLOCK, PI, angle, columns_of, fetch_ahead, whole_block
 from services.infra_lidar.kernels_surface import flat_surface, sloped_surface
 from services.infra_lidar.vectors import (
     LANES,
@@ -107,6 +107,7 @@ def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-un
         source, begin = whole_block(flat, width, start, n)
         size, m = min(BLOCK, n - start), 0
         for i in range(0, size, LANES):
+            fetch_ahead(flat, (start + i) * width, width)
             a, b, c, _ = columns_of(source, begin + i * width, width)
             squared = fma(a, a, fma(b, b, c * c))
             there = (squared > NO_RETURN_M2) & (squared < FAR_M2)

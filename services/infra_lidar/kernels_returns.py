@@ -8,10 +8,22 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, inner
-from services.infra_lidar.vectors import LANES, every, fma, gather, lanes, larger, magnitude, select, smaller
+from services.infra_lidar.vectors import (
+    LANES,
+    every,
+    fma,
+    gather,
+    lanes,
+    larger,
+    magnitude,
+    prefetch,
+    select,
+    smaller,
+)
 
 PI, HALF_PI = np.float32(np.pi), np.float32(np.pi / 2)
 TINY = np.float32(1e-20)
+AHEAD = 256  # returns that are fetched before they are read: processors do so themselves, but stop at every page
 BLOCK = 1024  # returns that are handled together: what one step leaves behind is near when the next one comes
 
 
@@ -28,6 +40,13 @@ def columns_of(flat, at, width):  # type: ignore[no-untyped-def]
         return every(flat, at, 3, 0), every(flat, at, 3, 1), z, z * np.float32(0.0)
     row = lanes() * np.int32(width) + np.int32(at)
     return gather(flat, row), gather(flat, row + 1), gather(flat, row + 2), gather(flat, row + 4)
+
+
+@inline
+def fetch_ahead(flat, at, width):  # type: ignore[no-untyped-def]
+    """Bring rows nearer that come AHEAD of those at ``at``, LANES of them."""
+    for k in range(0, LANES * width, 16):
+        prefetch(flat, at + AHEAD * width + k)
 
 
 @inner

@@ -199,6 +199,22 @@ def _gather_pairs(typing_context: Any, array: Any, listed: Any, at: Any) -> Any:
     return types.UniTuple(_kind_of(array), 2)(array, listed, at), generate
 
 
+def _prefetch(typing_context: Any, array: Any, at: Any) -> Any:
+    _kind_of(array)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        index = context.cast(builder, args[1], sig.args[1], types.int64)
+        place = builder.gep(_begin(context, builder, array, args[0]), [index])
+        address = builder.bitcast(place, _BYTE.as_pointer())
+        kind = ir.FunctionType(ir.VoidType(), [address.type, WORD, WORD, WORD])
+        to_read, into_the_nearest_cache, of_data = (ir.Constant(WORD, k) for k in (0, 3, 1))
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        builder.call(function, [address, to_read, into_the_nearest_cache, of_data])
+        return context.get_dummy_value()
+
+    return types.void(array, at), generate
+
+
 def _every(typing_context: Any, array: Any, at: Any, step: Any, first: Any) -> Any:
     width, column = step.literal_value, first.literal_value
 
@@ -272,3 +288,8 @@ def gather_pairs(array: Any, listed: Any, at: Any) -> Any:
 def every(array: Any, at: Any, step: Any, first: Any) -> Any:
     """One column of LANES rows of ``step`` float32, both literals, from array[at] on: array[at + first], array[at +
     first + step] ... As many whole vectors as a row has columns are read."""
+
+
+@_named(_prefetch)
+def prefetch(array: Any, at: Any) -> Any:
+    """Bring array[at] nearer, for it will be read soon; it may lie behind the array's end."""

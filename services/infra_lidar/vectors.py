@@ -25,7 +25,16 @@ from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import signature
 
-from services.infra_lidar.vector_memory import every, gather, gather_listed, gather_pairs, load, store, store_chosen
+from services.infra_lidar.vector_memory import (
+    every,
+    gather,
+    gather_listed,
+    gather_pairs,
+    load,
+    prefetch,
+    store,
+    store_chosen,
+)
 from services.infra_lidar.vector_types import (
     BIT,
     FLAGS,
@@ -62,6 +71,7 @@ __all__ = [
     "load",
     "magnitude",
     "ones",
+    "prefetch",
     "real",
     "root",
     "select",
