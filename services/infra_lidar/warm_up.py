@@ -16,6 +16,7 @@ from contextlib import contextmanager
 
 import msgspec
 import numpy as np
+from numba.core.registry import cpu_target
 
 from common.stopwatch import Stopwatch
 from services.infra_lidar.classifier import Classifier
@@ -30,6 +31,9 @@ from services.infra_lidar.tracking import Detections, MultiObjectTracker
 log = logging.getLogger(__name__)
 
 FRAME_NS = 100_000_000
+
+# Numba imports the larger part of itself with the first kernel: here, that is with all other imports.
+cpu_target.target_context.refresh()
 
 
 def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
