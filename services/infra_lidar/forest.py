@@ -31,6 +31,7 @@ from services.infra_lidar.vectors import (
 )
 
 _COLUMN_BITS = 8  # so many columns of x, and 2 ** 23 nodes, fit into a word
+_TREES = 4  # that are walked together: each waits for memory at every step
 _ARRAYS = ("feature", "threshold", "child", "leaf", "value", "root", "depth", "calibration_x", "calibration_y")
 
 
@@ -150,17 +151,20 @@ def _walk(
     trees, rows, columns = len(root), len(x), x.shape[1]
     classes, shares = value.shape[1], value.reshape(value.size)
     total = np.zeros(classes * LANES, np.float32)
-    node, here = np.empty(LANES, np.int32), np.zeros(columns * LANES, np.float32)
+    node, here = np.empty(_TREES * LANES, np.int32), np.zeros(columns * LANES, np.float32)
     for start in range(0, rows, LANES):
         taken = min(LANES, rows - start)
         _take_rows(x[start : start + taken], here)
         total[:] = 0.0
-        for t in range(trees):
-            store(node, 0, splat(root[t]))
-            _descend(here, nodes, depth[t], node)
-            store(node, 0, gather_listed(leaf, node, 0) * np.int32(classes))
-            for c in range(classes):
-                store(total, c * LANES, load(total, c * LANES) + gather_listed(shares[c:], node, 0))
+        for first in range(0, trees, _TREES):
+            number, deepest = min(_TREES, trees - first), 0
+            for t in range(number):
+                store(node, t * LANES, splat(root[first + t]))
+                deepest = max(deepest, depth[first + t])
+            _descend(here, nodes, deepest, node, number)
+            for at in range(0, number * LANES, LANES):
+                store(node, at, gather_listed(leaf, node, at) * np.int32(classes))  # where their shares begin
+                _add_shares(shares, node, at, classes, total)
         for lane in range(taken):
             for c in range(classes):
                 out[start + lane, c] = total[c * LANES + lane] / np.float32(trees)
@@ -176,18 +180,25 @@ def _take_rows(x: np.ndarray, here: np.ndarray) -> None:
 
 
 @inline
-def _descend(here, nodes, depth, node):  # type: ignore[no-untyped-def]
-    """Walk down one tree with all lanes at once."""
+def _descend(here, nodes, depth, node, trees):  # type: ignore[no-untyped-def]
+    """Walk down some trees with all lanes at once. node (_TREES * LANES,) int32, where they begin and end."""
     mask, own = np.int32((1 << _COLUMN_BITS) - 1), lanes()
-    at = load(node, 0)
     for _ in range(depth):
-        word, threshold = gather_pairs(nodes, node, 0)
-        right = gather(here, (word & mask) * np.int32(LANES) + own) > unbits(threshold)
-        following = (word >> np.int32(_COLUMN_BITS)) + ones(right)
-        store(node, 0, following)
-        if lane_count(following != at) == 0:  # all of them have arrived
+        moved = np.int32(0)
+        for t in range(0, trees * LANES, LANES):
+            word, threshold = gather_pairs(nodes, node, t)
+            right = gather(here, (word & mask) * np.int32(LANES) + own) > unbits(threshold)
+            following = (word >> np.int32(_COLUMN_BITS)) + ones(right)
+            moved += lane_count(following != load(node, t))
+            store(node, t, following)
+        if moved == 0:  # all of them have arrived
             break
-        at = following
+
+
+@inline
+def _add_shares(shares, begin, at, classes, total):  # type: ignore[no-untyped-def]
+    for c in range(classes):
+        store(total, c * LANES, load(total, c * LANES) + gather_listed(shares[c:], begin, at))
 
 
 @kernel
