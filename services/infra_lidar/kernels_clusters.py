@@ -24,7 +24,7 @@ def regroup(  # type: ignore[no-untyped-def]
     out, and so are labels of fewer than ``fewest`` points or more than ``most``, and those that are more than
     ``widest`` cells ``across`` (components,), none = unknown. Written: offsets (K + 1,), where each cluster begins;
     flat, the head of which becomes a (4, T) array of points; grouped_source (T,); box (K, 8), see ``measure``. scratch
-    (2, R + 1 and components + 1 or more) int32. Returns (K, T).
+    (2, R + 1 and components + 1 or more) int32 has room for a vector more. Returns (K, T).
     """
     spans, number = scratch[0], scratch[1]
     begins = spans[: find_runs(label, spans) + 1]  # of runs: those of one label, one behind the other, are one span

@@ -31,7 +31,7 @@ def label_points(  # type: ignore[no-untyped-def]
     points, n, body_m, cell_m, growth_m, two_points, eight, grid, touched, row_start, scratch, begin, label, across
 ):
     """Components of n points, as runs of points of one cell: begin (n + 1,) int32, where each run begins, and label
-    (n,) int32, its component, -1 = none; both have room for so many or more. Returns the numbers of runs and
+    (n,) int32, its component, -1 = none; both have room for so many and a vector more. Returns the numbers of runs and
     components.
 
     across (n or more,) int32 is written, too: how many cells of each component lie for certain between two of its
