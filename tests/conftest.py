@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from _pytest.runner import runtestprotocol
 from hypothesis import HealthCheck, settings
 
 from common.config import ZenohConfig
@@ -36,46 +35,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         live = isinstance(item, pytest.Function) and not LIVE_FIXTURES.isdisjoint(item.fixturenames)
         if live and item.get_closest_marker("patient") is None:
             item.add_marker("system")
-
-
-TRIES, TAKEN_S = 3, 0.3
-_repeated = pytest.StashKey[list[str]]()
-
-
-def taken_s(stat: str = "/proc/stat") -> float:
-    """Seconds that a hypervisor ran others on this machine's processors since it came up ("steal" in proc(5))."""
-    try:
-        words = Path(stat).read_text().split()
-    except OSError:
-        return 0.0
-    return int(words[8]) / os.sysconf("SC_CLK_TCK") if len(words) > 8 else 0.0
-
-
-def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    """Half a second is a deadline to real processes, and means nothing where the machine itself stood still for as
-    long: what fails while others ran on its processors is tried once more, and the summary says so."""
-    if item.get_closest_marker("system") is None:
-        return None
-    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    for left in range(TRIES - 1, -1, -1):
-        before_s = taken_s()
-        reports = runtestprotocol(item, log=False, nextitem=nextitem)
-        lost_s = taken_s() - before_s
-        missed = any(report.failed and report.when == "call" for report in reports)
-        if not missed or left == 0 or lost_s < TAKEN_S:
-            break
-        note = f"{item.nodeid}: failed while others had the processors for {lost_s:.1f} s; tried again"
-        item.config.stash.setdefault(_repeated, []).append(note)
-        item._initrequest()  # type: ignore[attr-defined]
-    for report in reports:
-        item.ihook.pytest_runtest_logreport(report=report)
-    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
-    return True
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    for note in config.stash.get(_repeated, []):
-        terminalreporter.write_line(f"REPEATED {note}")
 
 
 @pytest.fixture(scope="session")
