@@ -1,7 +1,7 @@
 """Compile or load every kernel before the first real frame, and say so.
 
-Compiled kernels are kept on disk. Without them a second process compiles half of them meanwhile: the compiler itself
-works on one at a time.
+Compiled kernels are kept on disk. Without them up to four processes share the work, as many as there are processors:
+the compiler itself works on one kernel at a time.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import msgspec
 import numpy as np
@@ -20,7 +20,7 @@ from numba.core.registry import cpu_target
 
 from common.stopwatch import Stopwatch
 from services.infra_lidar.classifier import Classifier
-from services.infra_lidar.clustering import Clustering
+from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.features import compute_features
 from services.infra_lidar.ground import Levelled
@@ -31,6 +31,7 @@ from services.infra_lidar.tracking import Detections, MultiObjectTracker
 log = logging.getLogger(__name__)
 
 FRAME_NS = 100_000_000
+STEPS = (*range(9), 60)  # frames: to the end of learning, beyond, and until the pole is looked after again
 
 # Numba imports the larger part of itself with the first kernel: here, that is with all other imports.
 cpu_target.target_context.refresh()
@@ -42,20 +43,24 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
     background = msgspec.structs.replace(config.background, learn_s=0.1, min_frames=5, azimuth_cells=90)
     calibration = msgspec.structs.replace(config.calibration, frames=1, hypotheses=16)
     small = msgspec.structs.replace(config, calibration=calibration, background=background, T_map_sensor=())
-    frame = made_up_frame()
     with _collecting_seldom():
         if _compiled_before():
             tell("loading kernels")
         else:
             tell("compiling kernels: on the first start on this machine, about half a minute")
-            _compile_by_two(small)
-        pipeline = InfraLidarPipeline(small)
-        for k in (*range(9), 60):  # to the end of learning, beyond, and until the pole is looked after again
-            pipeline.process((10 + k) * FRAME_NS, frame)
-        follow_people(pipeline.tracker)
+            _compile_together(small)
+        run_whole(small)
     watch.lap("warm-up")
     log.info("kernels ready after %.1f s", watch.stage_ms["warm-up"] / 1e3)
     return watch.stage_ms["warm-up"]
+
+
+def run_whole(config: InfraLidarConfig) -> None:
+    """A made-up scene through a whole pipeline, and what comes seldom."""
+    frame, pipeline = made_up_frame(), InfraLidarPipeline(config)
+    for k in STEPS:
+        pipeline.process((10 + k) * FRAME_NS, frame)
+    follow_people(pipeline.tracker)
 
 
 def _compiled_before() -> bool:
@@ -64,28 +69,50 @@ def _compiled_before() -> bool:
     return not beams_seen.stats.cache_misses  # type: ignore[attr-defined]
 
 
-def _compile_by_two(config: InfraLidarConfig) -> None:
-    """Half of the kernels in this process, half in another one, where there is a processor for it."""
-    if len(os.sched_getaffinity(0)) < 2:
-        return
-    with subprocess.Popen([sys.executable, "-m", __name__], stdin=subprocess.PIPE) as other:
-        assert other.stdin is not None
-        other.stdin.write(msgspec.json.encode(config))
-        other.stdin.close()
-        compile_clusters(config)
-        if other.wait() != 0:  # then this process compiles those, too
-            log.warning("the second compiling process ended with exit code %d", other.returncode)
+def _compile_together(config: InfraLidarConfig) -> None:
+    """Every process compiles its parts, this one those of the first."""
+    own, *others = shared_out(len(os.sched_getaffinity(0)))
+    words = [sys.executable, "-m", __name__]
+    with ExitStack() as running:
+        helpers = [running.enter_context(subprocess.Popen([*words, *names], stdin=subprocess.PIPE)) for names in others]
+        for helper in helpers:
+            assert helper.stdin is not None
+            helper.stdin.write(msgspec.json.encode(config))
+            helper.stdin.close()
+        for name in own:
+            PARTS[name](config)
+        for helper in helpers:
+            if helper.wait() != 0:  # then this process compiles those, too
+                log.warning("another compiling process ended with exit code %d", helper.returncode)
 
 
-def compile_scene_and_tracks(config: InfraLidarConfig, frame: np.ndarray) -> None:
-    """Ground and background, then tracks of two people side by side."""
-    pipeline = InfraLidarPipeline(config)
-    nobody = np.zeros(len(frame), bool)
-    for k in range(9):
+def shared_out(processors: int) -> list[list[str]]:
+    """The names of ``PARTS`` for each process: dealt out forth and back, so that whoever gets a long one gets a short
+    one, too."""
+    shares: list[list[str]] = [[] for _ in range(max(1, min(processors, len(PARTS))))]
+    for name, share in zip(PARTS, (*shares, *reversed(shares)) * len(PARTS), strict=False):
+        share.append(name)
+    return shares
+
+
+def compile_scene(config: InfraLidarConfig) -> None:
+    """Ground and background, and whether people are part of it, until the pole is looked after again."""
+    frame, pipeline, people = made_up_frame(), InfraLidarPipeline(config), two_people()
+    scene, nobody = pipeline.scene, np.zeros(len(frame), bool)
+    for k in STEPS:
         stamp_ns = (10 + k) * FRAME_NS
-        parted = pipeline.scene.part(stamp_ns, frame, pipeline.calibration.update(frame))
-        pipeline.scene.learn(stamp_ns, frame, parted, nobody)
-    follow_people(pipeline.tracker)
+        parted = scene.part(stamp_ns, frame, pipeline.calibration.update(frame))
+        parted.spread(np.zeros(len(parted.frame.ground), np.int32))
+        scene.structural(parted, people, scene.ground.road_height(people.box[:, 0], people.box[:, 1]))
+        if parted.source is None:
+            scene.learn(stamp_ns, frame, parted, nobody)
+
+
+def compile_tracks(config: InfraLidarConfig) -> None:
+    """Tracks of two people side by side, then of one of them."""
+    tracker = MultiObjectTracker(config.tracking)
+    follow_people(tracker)
+    tracker.forget(np.array([True]))
 
 
 def follow_people(tracker: MultiObjectTracker) -> None:
@@ -102,17 +129,38 @@ def follow_people(tracker: MultiObjectTracker) -> None:
 
 
 def compile_clusters(config: InfraLidarConfig) -> None:
-    """Clusters, features and classes, of a person."""
-    n, generator = 800, np.random.default_rng(7)
-    xyz = generator.uniform([8.0, 0.0, 0.2], [8.5, 0.5, 1.7], (n, 3)).astype(np.float32).T.copy()
+    """Clusters, of a people."""
+    xyz = two_people().planar
+    n = xyz.shape[1]
     frame = Levelled(
         x=xyz[0], y=xyz[1], z=xyz[2], cell=np.zeros(n, np.int16), ground=np.zeros(n, bool),
         rest=np.arange(n, dtype=np.int32), points=np.concatenate((xyz, xyz[2:])),
     )  # fmt: skip
-    found = Clustering(config.clustering, config.ground.range_max_m).cluster(frame)
-    classifier = Classifier(config.classifier)
-    features = compute_features(found.points, found.offsets, np.zeros(len(found)), classifier.feature_names)
-    classifier.classify(features)
+    Clustering(config.clustering, config.ground.range_max_m).cluster(frame)
+
+
+def compile_features(config: InfraLidarConfig) -> None:
+    """Features and classes, of a people."""
+    people, classifier = two_people(), Classifier(config.classifier)
+    road_z_m = np.zeros(2, np.float32)
+    classifier.classify(compute_features(people.points, people.offsets, road_z_m, classifier.feature_names))
+
+
+def two_people() -> ClusterPoints:
+    """Two clusters of 400 points."""
+    low, high, n = np.array([8.0, 0.0, 0.2]), np.array([8.5, 0.5, 1.7]), 800
+    planar = np.random.default_rng(7).uniform(low, high, (n, 3)).astype(np.float32).T.copy()
+    box = np.array([[*(low + high) / 2, *(high - low), 0.0, low[2]]] * 2, np.float32)
+    return ClusterPoints(np.zeros(n, np.int32), planar, np.array([0, n // 2, n], np.int32), box)
+
+
+# What can be compiled by itself, longest first.
+PARTS: dict[str, Callable[[InfraLidarConfig], None]] = {
+    "clusters": compile_clusters,
+    "tracks": compile_tracks,
+    "scene": compile_scene,
+    "features": compile_features,
+}
 
 
 @contextmanager
@@ -143,4 +191,6 @@ def made_up_frame() -> np.ndarray:
 
 if __name__ == "__main__":
     with _collecting_seldom():
-        compile_scene_and_tracks(msgspec.json.decode(sys.stdin.buffer.read(), type=InfraLidarConfig), made_up_frame())
+        wanted = msgspec.json.decode(sys.stdin.buffer.read(), type=InfraLidarConfig)
+        for part in sys.argv[1:]:
+            PARTS[part](wanted)

@@ -1,5 +1,10 @@
 """What is warmed up before the first real frame, so that none has to wait for a kernel."""
 
+import subprocess
+import sys
+
+import pytest
+
 from services.infra_lidar import warm_up
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.kernels_background import put_back
@@ -21,3 +26,43 @@ def test_a_warm_start_has_run_what_comes_seldom():
     assert "kernels" in told[0]
     assert put_back.signatures  # frames after the end of learning
     assert count_cells.signatures  # the watch over the pole
+
+
+@pytest.mark.parametrize("processors", range(1, 9))
+def test_each_part_is_compiled_once(processors: int):
+    shares = warm_up.shared_out(processors)
+    assert len(shares) == min(processors, len(warm_up.PARTS))
+    assert sorted(name for share in shares for name in share) == sorted(warm_up.PARTS)
+
+
+ALL_PARTS = """
+import sys
+from services.infra_lidar import warm_up
+from services.infra_lidar.config import BackgroundConfig, CalibrationConfig, InfraLidarConfig
+
+def signatures():
+    found = {}
+    for module in [m for name, m in sys.modules.items() if name.startswith("services.infra_lidar")]:
+        for value in vars(module).values():
+            if hasattr(value, "signatures") and getattr(value, "_cache", None):
+                found[value.__module__ + "." + value.__name__] = set(value.signatures)
+    return found
+
+small = InfraLidarConfig(
+    background=BackgroundConfig(learn_s=0.1, min_frames=5, azimuth_cells=90),
+    calibration=CalibrationConfig(frames=1, hypotheses=16),
+)
+for compile_part in warm_up.PARTS.values():
+    compile_part(small)
+before = signatures()
+warm_up.run_whole(small)
+for name, now in signatures().items():
+    for signature in now - before.get(name, set()):
+        print(name, signature)
+"""
+
+
+def test_the_parts_leave_nothing_to_be_compiled():
+    finished = subprocess.run([sys.executable, "-c", ALL_PARTS], capture_output=True, text=True, check=False)
+    assert finished.returncode == 0, finished.stderr
+    assert finished.stdout == ""
