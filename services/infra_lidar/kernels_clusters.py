@@ -161,41 +161,6 @@ def measure(points, offsets, box):  # type: ignore[no-untyped-def]
 
 
 @inner
-def join_high(label, above, components, band_m, body_m, share, in_band, total, free):  # type: ignore[no-untyped-def]
-    """Points higher than ``body_m`` stay with a component that reaches the top of the body band, band_m to body_m: they
-    belong to it, not to a tree above. Others become -1.
-
-    free (M,) int32 is written: which points are high and belong to nothing; returns how many. in_band, total
-    (components,) int32 are scratch.
-    """
-    in_band[:components] = 0
-    total[:components] = 0
-    for i in range(label.shape[0]):
-        if label[i] >= 0 and above[i] < body_m:
-            total[label[i]] += 1
-            in_band[label[i]] += above[i] >= band_m
-    number = 0
-    for i in range(label.shape[0]):
-        if above[i] >= body_m:
-            k = label[i]
-            if k >= 0 and in_band[k] < max(3.0, share * total[k]):
-                label[i] = -1
-            if label[i] < 0:
-                free[number] = i
-                number += 1
-    return number
-
-
-@inner
-def join_labels(begin, found, by, free, label):  # type: ignore[no-untyped-def]
-    """label (M,) of the points ``free`` (F,): what was ``found`` for runs of them, raised by ``by``, or -1."""
-    for r in range(len(found)):
-        k = found[r] + by if found[r] >= 0 else -1
-        for i in range(begin[r], begin[r + 1]):
-            label[free[i]] = k
-
-
-@inner
 def possible(box, offsets, s, label):  # type: ignore[no-untyped-def]
     """label (K,) int32: k for clusters of a possible size, -1 for others; s: settings, as in ``kernels_steps``. Returns
     whether there are others."""
@@ -207,13 +172,6 @@ def possible(box, offsets, s, label):  # type: ignore[no-untyped-def]
         label[k] = k if good else -1
         others |= not good
     return others
-
-
-@inner
-def spread(begin, label, out):  # type: ignore[no-untyped-def]
-    """out (N,): the label of each point, from those of runs."""
-    for r in range(len(label)):
-        out[begin[r] : begin[r + 1]] = label[r]
 
 
 @inner

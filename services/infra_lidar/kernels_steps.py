@@ -10,7 +10,8 @@ import numpy as np
 
 from services.infra_lidar.jit import inner, kernel
 from services.infra_lidar.kernels_adopt import adopt_strays
-from services.infra_lidar.kernels_clusters import join_high, join_labels, possible, regroup, spread, write_ids
+from services.infra_lidar.kernels_clusters import possible, regroup, write_ids
+from services.infra_lidar.kernels_high import lift, put_down, spread, tall_ones
 from services.infra_lidar.kernels_labels import label_points
 from services.infra_lidar.kernels_merge import merge_fragments
 from services.infra_lidar.kernels_runs import find_runs
@@ -25,8 +26,6 @@ SETTINGS = np.dtype(
 )  # fmt: skip
 LOOK = np.dtype([(name, np.bool_) for name in ("trim", "split", "engulf")])
 INTS, FLOATS = 13, 8  # rows of scratch
-TALL_BAND_M = np.float32(0.4)  # a component with points in the top of the body band goes on above it
-TALL_SHARE = 0.03
 MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by: they can only be adopted
 
 
@@ -44,7 +43,7 @@ def find_clusters(points, m, source, s, look, ints, floats, grid, touched, row_s
     begin, label, across = ints[0], ints[1], ints[2]
     runs, components = _components(points, m, s.body_m, s, ints[4:9], grid, touched, row_start, begin, label, across)
     if s.body_m < np.inf:
-        runs, components = _label_high(points, m, s, components, ints, floats, grid, touched, row_start)
+        runs, components = _label_high(points, m, s, runs, components, ints, floats, grid, touched, row_start)
 
     # What may be a cluster or a part of one, as copies that lie together
     scratch, room = ints[3:5], floats.shape[1]
@@ -98,29 +97,23 @@ def _components(points, n, body_m, s, scratch, grid, touched, row_start, begin, 
 
 
 @inner
-def _label_high(points, m, s, components, ints, floats, grid, touched, row_start):  # type: ignore[no-untyped-def]
+def _label_high(points, m, s, runs, components, ints, floats, grid, touched, row_start):  # type: ignore[no-untyped-def]
     """Give high points to tall components, and label those that join nothing: a roof behind other cars, or a canopy.
 
     Runs, labels and extents in ints[:3] are written anew. Returns the numbers of runs and components.
     """
-    begin, label, across, of_points, free = ints[0], ints[1], ints[2], ints[9][:m], ints[10][:m]
-    runs = 0
-    while begin[runs] < m:
-        runs += 1
+    begin, label, across, of_points, high = ints[0], ints[1], ints[2], ints[9], floats[:4]
     spread(begin[: runs + 1], label[:runs], of_points)
-    band_m = s.body_m - TALL_BAND_M
-    number = join_high(of_points, points[3], components, band_m, s.body_m, TALL_SHARE, ints[11], ints[12], free)
+    tall = tall_ones(of_points[:m], points[3], s.body_m, components)
+    number = lift(points, of_points[:m], s.body_m, tall, high, ints[10])
     if number > 0:
-        high = floats[:4]
-        for row in range(4):
-            for i in range(number):
-                high[row, i] = points[row, free[i]]
-        more, found = _components(
+        runs, found = _components(
             high, number, np.float32(np.inf), s, ints[4:9], grid, touched, row_start, begin, label, across[components:]
         )
-        join_labels(begin[: more + 1], label[:more], components, free, of_points)
+        spread(begin[: runs + 1], label[:runs], ints[11])
+        put_down(ints[11], np.int32(components), ints[10, :number], of_points)
         components += found
-    return _runs(of_points, begin, label), components
+    return _runs(of_points[:m], begin, label), components
 
 
 @inner
