@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, inner, kernel
-from services.infra_lidar.kernels_merge import LARGE_GAP_M, LARGE_LENGTH_M, LARGE_TOP_M, SMALL_TOP_M
+from services.infra_lidar.kernels_merge import LARGE_GAP_M, LARGE_LENGTH_M, LARGE_TOP_M, SMALL_TOP_M, directions
 from services.infra_lidar.ordering import rising
 
 CROSS_M, CROSS_SLOPE = 0.25, 0.006  # a gap, seen from the sensor, is at most two beams wide and 25 cm
@@ -22,10 +22,10 @@ TURNS_RAD = np.array([0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12])  # directions
 
 
 @inner
-def _interval(box, k, c, s):  # type: ignore[no-untyped-def]
+def _interval(box, turned, k, c, s):  # type: ignore[no-untyped-def]
     """Extent of footprint k along the direction (c, s) and across it."""
     u, v = c * box[k, 0] + s * box[k, 1], c * box[k, 1] - s * box[k, 0]
-    own_c, own_s = np.cos(box[k, 6]), np.sin(box[k, 6])
+    own_c, own_s = turned[k, 0], turned[k, 1]
     dot, cross = abs(own_c * c + own_s * s), abs(own_c * s - own_s * c)
     half_u = 0.5 * (box[k, 3] * dot + box[k, 4] * cross)
     half_v = 0.5 * (box[k, 3] * cross + box[k, 4] * dot)
@@ -41,7 +41,7 @@ def _longest_gap(box, k, c, s):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _grow(box, members, strays, yaw, strict, taken):  # type: ignore[no-untyped-def]
+def _grow(box, turned, members, strays, yaw, strict, taken):  # type: ignore[no-untyped-def]
     """Mark the strays that the members grow by along ``yaw``; returns how many.
 
     ``strict``: only those on the outline, and none where they are few.
@@ -51,7 +51,7 @@ def _grow(box, members, strays, yaw, strict, taken):  # type: ignore[no-untyped-
     u1 = v1 = -np.inf
     top = np.float32(0.0)
     for k in members:
-        a, b, d, e = _interval(box, k, c, s)
+        a, b, d, e = _interval(box, turned, k, c, s)
         u0, u1, v0, v1 = min(u0, a), max(u1, b), min(v0, d), max(v1, e)
         top = max(top, box[k, 7] + box[k, 5])
     taken[:] = False
@@ -63,7 +63,7 @@ def _grow(box, members, strays, yaw, strict, taken):  # type: ignore[no-untyped-
         away[i] = abs(c * box[strays[i], 0] + s * box[strays[i], 1] - 0.5 * (u0 + u1))
     for i in rising(away):
         k = strays[i]
-        a, b, d, e = _interval(box, k, c, s)
+        a, b, d, e = _interval(box, turned, k, c, s)
         if max(a - u1, u0 - b) > _longest_gap(box, k, c, s):
             continue
         a, b, d, e = min(u0, a), max(u1, b), min(v0, d), max(v1, e)
@@ -72,18 +72,18 @@ def _grow(box, members, strays, yaw, strict, taken):  # type: ignore[no-untyped-
             top = max(top, box[k, 7] + box[k, 5])
             taken[i] = True
             number += 1
-    return _keep_outline(box, strays, c, s, v0, v1, top, taken) if strict else number
+    return _keep_outline(box, turned, strays, c, s, v0, v1, top, taken) if strict else number
 
 
 @inner
-def _keep_outline(box, strays, c, s, v0, v1, top, taken):  # type: ignore[no-untyped-def]
+def _keep_outline(box, turned, strays, c, s, v0, v1, top, taken):  # type: ignore[no-untyped-def]
     """Keep of the taken those on a side or on the roof; all go where those are few. Returns how many are left."""
     number, on = 0, 0
     for i in range(len(strays)):
         if taken[i]:
             number += 1
             k = strays[i]
-            _, _, d, e = _interval(box, k, c, s)
+            _, _, d, e = _interval(box, turned, k, c, s)
             taken[i] = (d - v0 < FACE_M) | (v1 - e < FACE_M) | (top - box[k, 7] - box[k, 5] < FACE_M)
             on += taken[i]
     if on < OUTLINE_SHARE * number:
@@ -105,7 +105,7 @@ def _near(box, core, loose, size, group, min_points):  # type: ignore[no-untyped
 
 
 @inner
-def _best(box, members, strays):  # type: ignore[no-untyped-def]
+def _best(box, turned, members, strays):  # type: ignore[no-untyped-def]
     """(S,) bool: the strays that the members take in the direction in which they take most."""
     taken, best = np.zeros(len(strays), np.bool_), np.zeros(len(strays), np.bool_)
     middle = np.float64(0.0)  # tried where no direction of a member takes anything
@@ -114,7 +114,7 @@ def _best(box, members, strays):  # type: ignore[no-untyped-def]
         best[:] = False
         for i in range(tries):
             yaw = middle + TURNS_RAD[i] if strict else box[members[i // 2], 6] + 0.5 * np.pi * (i % 2)
-            number = _grow(box, members, strays, yaw, strict == 1, taken)
+            number = _grow(box, turned, members, strays, yaw, strict == 1, taken)
             if number > most:
                 most, best_yaw = number, yaw
                 for k in range(len(taken)):  # spelled out: whole-array assignments take the compiler seconds
@@ -129,7 +129,7 @@ def adopt_strays(box, counts, min_points, group):  # type: ignore[no-untyped-def
 
     box (K, 8) as measured by ``kernels_clusters.measure``, counts (K,) points; group (K,) is rewritten.
     """
-    total = len(counts)
+    total, turned = len(counts), directions(box)
     size, top = np.zeros(total, np.int64), np.zeros(total, np.float32)
     for k in range(total):
         size[group[k]] += counts[k]
@@ -143,11 +143,11 @@ def adopt_strays(box, counts, min_points, group):  # type: ignore[no-untyped-def
         if size[g] < min_points:
             break
         if SMALL_TOP_M < top[g] <= LARGE_TOP_M:
-            _adopt(box, g, _near(box, g, loose, size, group, min_points), group)
+            _adopt(box, turned, g, _near(box, g, loose, size, group, min_points), group)
 
 
 @kernel
-def _adopt(box, g, strays, group):  # type: ignore[no-untyped-def]
+def _adopt(box, turned, g, strays, group):  # type: ignore[no-untyped-def]
     """Let group g take its share of the strays. A group's number is that of its first member."""
     if len(strays) == 0:
         return
@@ -155,7 +155,7 @@ def _adopt(box, g, strays, group):  # type: ignore[no-untyped-def]
     for k in range(g, len(group)):
         members[number] = k
         number += group[k] == g
-    best = _best(box, members[:number], strays)
+    best = _best(box, turned, members[:number], strays)
     for i in range(len(strays)):
         if best[i]:
             group[strays[i]] = g

@@ -20,47 +20,59 @@ PERSON_WIDTH_M, PERSON_HEIGHT_M = 1.0, 1.0
 CYCLE_LENGTH_M, CYCLIST_TOP_M = 2.2, 1.55
 
 
-@inline
-def _corner(box, k, i):  # type: ignore[no-untyped-def]
-    """Corner i of footprint k."""
-    c, s = np.cos(box[k, 6]), np.sin(box[k, 6])
-    u = 0.5 * box[k, 3] * (1.0 if i & 1 else -1.0)
-    v = 0.5 * box[k, 4] * (1.0 if i & 2 else -1.0)
-    return box[k, 0] + c * u - s * v, box[k, 1] + s * u + c * v
+@inner
+def directions(box):  # type: ignore[no-untyped-def]
+    """(K, 2) float32: cosine and sine of each yaw."""
+    turned = np.empty((len(box), 2), np.float32)
+    for k in range(len(box)):
+        turned[k, 0], turned[k, 1] = np.cos(box[k, 6]), np.sin(box[k, 6])
+    return turned
 
 
 @inner
-def _gap(box, a, b):  # type: ignore[no-untyped-def]
+def _corners(box, turned):  # type: ignore[no-untyped-def]
+    """(K, 4, 2): the corners of each footprint."""
+    corners = np.empty((len(box), 4, 2))
+    for k in range(len(box)):
+        c, s = turned[k, 0], turned[k, 1]
+        for i in range(4):
+            u = 0.5 * box[k, 3] * (1.0 if i & 1 else -1.0)
+            v = 0.5 * box[k, 4] * (1.0 if i & 2 else -1.0)
+            corners[k, i, 0], corners[k, i, 1] = box[k, 0] + c * u - s * v, box[k, 1] + s * u + c * v
+    return corners
+
+
+@inner
+def _gap(box, turned, corners, a, b):  # type: ignore[no-untyped-def]
     """Distance of footprints: the smallest from a corner of one to the other."""
     nearest = np.inf
     for swap in range(2):
         p, q = (a, b) if swap == 0 else (b, a)
-        c, s = np.cos(box[q, 6]), np.sin(box[q, 6])
+        c, s = turned[q, 0], turned[q, 1]
         for i in range(4):
-            x, y = _corner(box, p, i)
-            dx, dy = x - box[q, 0], y - box[q, 1]
+            dx, dy = corners[p, i, 0] - box[q, 0], corners[p, i, 1] - box[q, 1]
             u = max(abs(c * dx + s * dy) - 0.5 * box[q, 3], 0.0)
             v = max(abs(c * dy - s * dx) - 0.5 * box[q, 4], 0.0)
-            nearest = min(nearest, np.hypot(u, v))
-    return nearest
+            nearest = min(nearest, u * u + v * v)
+    return np.sqrt(nearest)
 
 
 @inner
-def _extent(box, members, yaw):  # type: ignore[no-untyped-def]
+def _extent(corners, members, yaw):  # type: ignore[no-untyped-def]
     """Length along ``yaw`` and width across it of all corners of the members."""
     c, s = np.cos(yaw), np.sin(yaw)
     u0 = v0 = np.inf
     u1 = v1 = -np.inf
     for k in members:
         for i in range(4):
-            x, y = _corner(box, k, i)
+            x, y = corners[k, i, 0], corners[k, i, 1]
             u, v = c * x + s * y, c * y - s * x
             u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
     return u1 - u0, v1 - v0
 
 
 @inner
-def _fits(box, members, a, b, gap):  # type: ignore[no-untyped-def]
+def _fits(box, corners, members, a, b, gap):  # type: ignore[no-untyped-def]
     """Whether the members, of which a and b are ``gap`` apart, can be one vehicle."""
     top, low_top = 0.0, np.inf
     for k in members:
@@ -70,7 +82,7 @@ def _fits(box, members, a, b, gap):  # type: ignore[no-untyped-def]
     best, length, width = np.inf, 0.0, 0.0
     for i in range(3):
         yaw = box[a, 6] if i == 0 else (box[b, 6] if i == 1 else across)
-        along, side = _extent(box, members, yaw)
+        along, side = _extent(corners, members, yaw)
         if along * side < best:
             best, length, width = along * side, along, side
             chosen = yaw
@@ -85,9 +97,9 @@ def _fits(box, members, a, b, gap):  # type: ignore[no-untyped-def]
         return True
     own = np.empty(1, np.int64)
     own[0] = a
-    _, side_a = _extent(box, own, chosen)
+    _, side_a = _extent(corners, own, chosen)
     own[0] = b
-    _, side_b = _extent(box, own, chosen)
+    _, side_b = _extent(corners, own, chosen)
     return width <= max(side_a, side_b) + SIDE_STEP_M
 
 
@@ -108,23 +120,33 @@ def merge_fragments(box, counts, min_count, group):  # type: ignore[no-untyped-d
 
     box (K, 8) as measured by ``kernels_clusters.measure``; group (K,) int32 is written: smallest member's index.
     """
-    usable = _usable(box, counts, min_count)
+    usable, turned = _usable(box, counts, min_count), directions(box)
+    corners = _corners(box, turned)
+    following, members = np.empty(len(counts), np.int64), np.empty(len(usable), np.int64)
     for k in range(len(counts)):
-        group[k] = k
-    pairs, gaps = _near_pairs(box, usable)
-    members = np.empty(len(usable), np.int64)
+        group[k] = following[k] = k  # the members of a group stand in a ring
+    pairs, gaps = _near_pairs(box, turned, corners, usable)
     for p in rising(gaps):
         a, b = pairs[p, 0], pairs[p, 1]
         ga, gb = group[a], group[b]
         if ga == gb:
             continue
-        number = 0
-        for k in usable:
-            members[number] = k
-            number += (group[k] == ga) | (group[k] == gb)
-        if _fits(box, members[:number], a, b, gaps[p]):
+        number = _go_round(following, b, members, _go_round(following, a, members, 0))
+        if _fits(box, corners, members[:number], a, b, gaps[p]):
+            following[a], following[b] = following[b], following[a]
             for k in members[:number]:
                 group[k] = min(ga, gb)
+
+
+@inline
+def _go_round(following, first, members, number):  # type: ignore[no-untyped-def]
+    """Note the ring of ``first`` behind the first ``number`` of members; returns how many there are."""
+    members[number] = first
+    k, number = following[first], number + 1
+    while k != first:
+        members[number] = k
+        k, number = following[k], number + 1
+    return number
 
 
 @inner
@@ -143,7 +165,7 @@ def _usable(box, counts, min_count):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _near_pairs(box, usable):  # type: ignore[no-untyped-def]
+def _near_pairs(box, turned, corners, usable):  # type: ignore[no-untyped-def]
     """Pairs of pieces no farther apart than the widest gap, with the gap; ``usable`` is sorted by left end."""
     pairs = np.empty((16 * len(usable) + 16, 2), np.int64)
     gaps = np.empty(len(pairs))
@@ -159,7 +181,7 @@ def _near_pairs(box, usable):  # type: ignore[no-untyped-def]
             if abs(box[a, 1] - box[b, 1]) > half_a + half_b + LARGE_GAP_M or n == len(pairs):
                 continue
             tall = max(box[a, 7] + box[a, 5], box[b, 7] + box[b, 5]) > SMALL_TOP_M
-            gap = _gap(box, a, b)
+            gap = _gap(box, turned, corners, a, b)
             if gap <= (LARGE_GAP_M if tall else SMALL_GAP_M):
                 pairs[n, 0], pairs[n, 1], gaps[n] = a, b, gap
                 n += 1
