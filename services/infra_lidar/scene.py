@@ -117,7 +117,7 @@ class Scene:
 
     def _whole(self, stamp_ns: int, points: np.ndarray, calibration: Calibration) -> Parted:
         frame = self.ground.remove(points, calibration.T_level_sensor)
-        self._look_after(stamp_ns, points, frame)
+        self._look_after(stamp_ns, points[::WATCH_EVERY], frame)
         seen = Returns(len(points), frame.returns, frame.near, self._beam_count, self._sector_count)
         return Parted(frame, None, frame.ground.copy(), np.zeros(len(points), bool), seen)
 
@@ -135,10 +135,10 @@ class Scene:
         seen = Returns(len(points), sifted.returns, sifted.near, self._beam_count, self._sector_count)
         return Parted(frame, sifted.source, ground, known, seen)
 
-    def _look_after(self, stamp_ns: int, points: np.ndarray, frame: Levelled) -> None:
-        """Count beams and directions of a frame or a sample of it, and watch for a nudge."""
+    def _look_after(self, stamp_ns: int, sample: np.ndarray, frame: Levelled) -> None:
+        """Count the beams of a sample and the directions of a frame or of the sample, and watch for a nudge."""
         if not self._complete:
             return
-        self._beam_count = int(beams_seen(points[:, 4], self._beams)) if points.shape[1] > 4 else 0
+        self._beam_count = int(beams_seen(sample[:, 4], self._beams)) if sample.shape[1] > 4 else 0
         self._sector_count = self.ground.sectors_seen
         self._keeper.look_after(stamp_ns, frame)
