@@ -12,8 +12,9 @@ from benchmarks.plain_infra_lidar import PlainPipeline, Tracker, features, find_
 from benchmarks.roadside_frames import Frame, frames_of
 from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.classes import CLASSES, LABELS
-from services.infra_lidar.clustering import Clustering
-from services.infra_lidar.config import ARTICLE_CLUSTERING, ARTICLE_GROUND, ARTICLE_TRACKING
+from services.infra_lidar.classifier import Classifier
+from services.infra_lidar.clustering import Clustering, ClusterPoints
+from services.infra_lidar.config import ARTICLE_CLUSTERING, ARTICLE_GROUND, ARTICLE_TRACKING, ClassifierConfig
 from services.infra_lidar.features import FEATURE_SETS, compute_features
 from services.infra_lidar.forest import Forest
 from services.infra_lidar.ground import Ground
@@ -67,13 +68,17 @@ class Timed:
 
 
 class ArticleByKernels:
-    """The article's pipeline by our kernels, at the article's settings."""
+    """The article's pipeline by our kernels, at the article's settings.
 
-    def __init__(self, forest: Forest) -> None:
+    ``all_features``: all of them of every cluster, also where the class does not hang on it.
+    """
+
+    def __init__(self, forest: Forest, all_features: bool = False) -> None:
         self._buffers = buffers = Buffers()
         self._ground = Ground(ARTICLE_GROUND, buffers)
         self._clustering = Clustering(ARTICLE_CLUSTERING, ARTICLE_GROUND.range_max_m, buffers)
-        self._forest = forest
+        self._classifier = Classifier(ClassifierConfig(min_confidence=0.0), forest)
+        self._all_features = all_features
         self.begin()
 
     def begin(self) -> None:
@@ -88,19 +93,25 @@ class ArticleByKernels:
         t = self.timed.add("ground", t)
         found = self._clustering.cluster(levelled)
         t = self.timed.add("cluster", t)
-        table = compute_features(found.points, found.offsets, np.zeros(len(found), np.float32), NAMES, self._buffers)
-        t = self.timed.add("features", t)
-        shares = self._forest.shares(table)
-        labels = shares.argmax(axis=1)
-        t = self.timed.add("forest", t)
+        labels, confidence = self._classify(found)
+        t = self.timed.add("classify", t)
         centres, (objects,) = found.means, labels.nonzero()
         names = [LABELS[i] for i in labels[objects].tolist()]
-        box, confidence = found.box[objects], shares.max(axis=1, initial=0.0)[objects]
+        box = found.box[objects]
         self._stamp_ns += 100_000_000
-        seen = Detections(centres[objects], box[:, 3:6], box[:, 6], names, confidence)
+        seen = Detections(centres[objects], box[:, 3:6], box[:, 6], names, confidence[objects])
         self.tracker.step(self._stamp_ns, seen)
         self.timed.add("track", t)
         return {"centres": centres, "labels": labels}
+
+    def _classify(self, found: ClusterPoints) -> tuple[np.ndarray, np.ndarray]:
+        points, offsets, road_z_m = found.points, found.offsets, np.zeros(len(found), np.float32)
+        if self._all_features:
+            table = compute_features(points, offsets, road_z_m, NAMES, self._buffers)
+            labels, confidence, _ = self._classifier.classify(table)
+        else:
+            _, labels, confidence, _ = self._classifier.recognise(points, offsets, road_z_m, self._buffers)
+        return labels, confidence
 
 
 class TimedPlain(PlainPipeline):
@@ -125,9 +136,8 @@ class TimedPlain(PlainPipeline):
         clusters = find_clusters(xyz)
         t = self.timed.add("cluster", t)
         table = np.array([features(xyz[c]) for c in clusters]).reshape(-1, len(NAMES)).astype(np.float32)
-        t = self.timed.add("features", t)
         labels = self._model.classes_[self._model.predict_proba(table).argmax(axis=1)]  # type: ignore[attr-defined]
-        t = self.timed.add("forest", t)
+        t = self.timed.add("classify", t)
         centres = np.array([xyz[c].mean(axis=0) for c in clusters]).reshape(-1, 3)
         objects = labels != 0
         self.tracker.update(centres[objects], labels[objects])

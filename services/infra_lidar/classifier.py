@@ -3,6 +3,9 @@
 The forest that is shipped (``forest.npz`` beside this file) says in its header what it was trained on. Probabilities
 are calibrated per class on scenes the forest had not seen (isotonic regression, Zadrozny & Elkan 2002), so that 0.9
 means nine in ten; what stays under ``min_confidence`` is called unknown, which is an obstacle all the same.
+
+A forest of the article's features asks how evenly points are spaced, which costs four times as much as all its other
+questions, and decides hardly anything: so it is answered only where a class hangs on it.
 """
 
 from __future__ import annotations
@@ -11,8 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
+from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.classes import CLASSES, LABELS, UNKNOWN
 from services.infra_lidar.config import ClassifierConfig
+from services.infra_lidar.features import SPACING, compute_features, compute_spacing, may_wait
 from services.infra_lidar.forest import Forest, ModelError, load_forest
 
 __all__ = ["CLASSES", "LABELS", "SHIPPED_MODEL", "UNKNOWN", "Classifier"]
@@ -21,19 +26,43 @@ SHIPPED_MODEL = Path(__file__).with_name("forest.npz")
 
 
 class Classifier:
-    """``feature_names`` says which features, in which order, ``classify`` expects.
+    """``feature_names`` says which features, in which order, ``classify`` expects. ``forest``: instead of the file.
 
     Raises:
         ModelError: the model is missing, damaged, or made for other classes.
     """
 
-    def __init__(self, config: ClassifierConfig) -> None:
+    def __init__(self, config: ClassifierConfig, forest: Forest | None = None) -> None:
         path = Path(config.model) if config.model else SHIPPED_MODEL
-        self.forest: Forest = load_forest(path)
+        self.forest = forest or load_forest(path)
         if self.forest.classes != CLASSES:
             raise ModelError(f"{path}: made for the classes {self.forest.classes}, expected {CLASSES}")
         self.feature_names = self.forest.features
         self._min_confidence = config.min_confidence
+        self._waits = may_wait(self.feature_names)
+        self._column = self.feature_names.index(SPACING) if self._waits else -1
+        self._typical = self.forest.typical(self._column) if self._waits else 0.0
+
+    def recognise(
+        self, points: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, buffers: Buffers | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Features of K clusters (see ``compute_features``) and their classes (see ``classify``).
+
+        Classes are those that ``classify`` finds with all features. Where the spacing of points cannot change the class
+        it is not computed: then a typical one stands in its column and in the probabilities.
+
+        Returns:
+            features (K, F) float32, labels (K,), confidence (K,), probabilities (K, C).
+        """
+        x = compute_features(points, offsets, ground_z_m, self.feature_names, buffers, spacing=not self._waits)
+        if not self._waits:
+            return x, *self.classify(x)
+        x[:, self._column] = self._typical
+        shares, certain = self.forest.settled(x, self._column, self._min_confidence)
+        (open_,) = np.nonzero(~certain)
+        x[open_, self._column] = compute_spacing(points, offsets, open_, buffers)
+        shares[open_] = self.forest.shares(x[open_])
+        return x, *self._decide(self.forest.calibrated(shares))
 
     def classify(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Classes of K clusters.
@@ -45,7 +74,9 @@ class Classifier:
             labels (K,) int64, index into ``LABELS`` (``UNKNOWN`` where no class is likely enough);
             confidence (K,) float32, probability of the likeliest class; probabilities (K, C) float32 over ``CLASSES``.
         """
-        probabilities = self.forest.probabilities(features)
+        return self._decide(self.forest.probabilities(features))
+
+    def _decide(self, probabilities: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         confidence = probabilities.max(axis=1, initial=0.0)
         labels = np.where(confidence >= self._min_confidence, probabilities.argmax(axis=1), UNKNOWN)
         return labels, confidence, probabilities

@@ -1,4 +1,4 @@
-"""The compiled pass behind ``features.py``: moments, extents, height ranks, slices, spacing and the bird's-eye hull.
+"""The compiled pass behind ``features.py``: moments, extents, height ranks, slices and the bird's-eye hull.
 
 One cluster at a time is copied into planar scratch arrays about its mean (float32 stays exact to micrometres inside a
 cluster), with places for whole vectors: those behind the last point hold 0, the mean, which changes no sum of squares
@@ -17,7 +17,6 @@ import numpy as np
 
 from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.extremes import in_turn
-from services.infra_lidar.feature_neighbours import room_for, spacing
 from services.infra_lidar.jit import inline, inner, kernel
 from services.infra_lidar.ordering import sort_rising
 from services.infra_lidar.vectors import (
@@ -53,37 +52,31 @@ ALL_NAMES: tuple[str, ...] = (
     "slice_width_0", "slice_width_1", "slice_width_2", "slice_width_3", "slice_width_4",
     "nn_dist_std", "n_components", "largest_component_ratio", "hull_point_ratio",
 )  # fmt: skip
-_WIDTH, _NN_STD = len(ALL_NAMES), ALL_NAMES.index("nn_dist_std")
+_WIDTH = len(ALL_NAMES)
 _BINS = 256
 _EPS = 1e-9
 _LARGE_M = np.float32(1e9)
 
 
 def cluster_features(
-    planar: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, hull: bool, neighbours: bool, nearest: bool,
-    buffers: Buffers,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """(K, len(ALL_NAMES)) float32 of the points ``planar`` (3, M) float32, and (K,) the median distance to the nearest.
+    planar: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, hull: bool, buffers: Buffers
+) -> np.ndarray:
+    """(K, len(ALL_NAMES)) float32 of the points ``planar`` (3, M) float32.
 
-    The last three columns are filled elsewhere (1 for the hull ratio, else 0); ``hull_fill`` is 0 without ``hull``,
-    ``nn_dist_std`` without ``neighbours``, and the median without ``nearest``.
+    ``nn_dist_std`` (see ``feature_spacing.py``) and the last three columns are filled elsewhere (1 for the hull ratio,
+    else 0); ``hull_fill`` is 0 without ``hull``.
 
     Raises:
         ValueError: an empty cluster.
     """
-    table, nearest_m = np.zeros((len(offsets) - 1, _WIDTH), np.float32), np.zeros(len(offsets) - 1, np.float32)
+    table = np.zeros((len(offsets) - 1, _WIDTH), np.float32)
     fewest, largest = _fewest_and_most(offsets)
     if fewest < 1:
         raise ValueError("offsets: every cluster needs at least one point")
-    room, cells = room_for(largest if neighbours else 0)
     size, take = (largest // LANES + 2) * LANES, buffers.take
-    scratch, work = take("cluster", 6 * size, np.float32).reshape(6, size), take("work", 6 * room, np.float32)
-    start, bins = take("start", cells, np.int32), take("bins", size, np.uint8)
-    _all_clusters(
-        planar, offsets, ground_z_m, scratch, bins, work.reshape(6, room) if neighbours else None, start, hull, nearest,
-        table, nearest_m,
-    )  # fmt: skip
-    return table, nearest_m
+    scratch, bins = take("cluster", 6 * size, np.float32).reshape(6, size), take("bins", size, np.uint8)
+    _all_clusters(planar, offsets, ground_z_m, scratch, bins, hull, table)
+    return table
 
 
 @kernel
@@ -98,21 +91,18 @@ def _fewest_and_most(offsets: np.ndarray) -> tuple[int, int]:
 
 @kernel
 def _all_clusters(
-    planar: np.ndarray, offsets: np.ndarray, ground: np.ndarray, scratch: np.ndarray, bins: np.ndarray,
-    work: np.ndarray | None, start: np.ndarray, hull: bool, nearest: bool, out: np.ndarray, nearest_m: np.ndarray,
+    planar: np.ndarray, offsets: np.ndarray, ground: np.ndarray, scratch: np.ndarray, bins: np.ndarray, hull: bool,
+    out: np.ndarray,
 ) -> None:  # fmt: skip
-    """Without ``work`` the search for neighbours is left out, and not even compiled."""
     for k in range(len(offsets) - 1):
         first, last = offsets[k], offsets[k + 1]
-        mx, my = _centred(planar[0, first:last], scratch[0]), _centred(planar[1, first:last], scratch[1])
-        base = _centred(planar[2, first:last], scratch[2]) - ground[k]
+        mx, my = centred(planar[0, first:last], scratch[0]), centred(planar[1, first:last], scratch[1])
+        base = centred(planar[2, first:last], scratch[2]) - ground[k]
         _one_cluster(scratch, bins, last - first, mx, my, base, hull, out[k])
-        if work is not None:
-            out[k, _NN_STD], nearest_m[k] = spacing(scratch[:3], last - first, work, start, nearest)
 
 
 @inner
-def _centred(values: np.ndarray, out: np.ndarray) -> float:
+def centred(values: np.ndarray, out: np.ndarray) -> float:
     """Copy about the mean, zeros behind the last one; returns the mean."""
     n, origin = len(values), values[0]
     rest = n - n % LANES

@@ -19,6 +19,9 @@ import numpy as np
 from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.feature_kernels import ALL_NAMES, cluster_features
 from services.infra_lidar.feature_pieces import hull_point_ratio, piece_features
+from services.infra_lidar.feature_spacing import cluster_spacing
+
+SPACING = "nn_dist_std"  # needs the search for neighbours, which costs more than all others together
 
 _BOX = (
     "xy_spread", "xy_area", "z_range", "height_to_footprint", "density", "z_25", "z_75", "z_std", "num_points",
@@ -62,7 +65,7 @@ _PIECE_NAMES = ("n_components", "largest_component_ratio")
 
 def compute_features(
     points: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, names: tuple[str, ...],
-    buffers: Buffers | None = None,
+    buffers: Buffers | None = None, spacing: bool = True,
 ) -> np.ndarray:  # fmt: skip
     """The features ``names`` of K clusters.
 
@@ -73,6 +76,7 @@ def compute_features(
         ground_z_m: (K,) height of the local ground under each cluster, metres, in the frame of ``points``.
         names: which features, in which order (see ``FEATURE_SETS``).
         buffers: those of the sensor, so that nothing is allocated for each frame.
+        spacing: without it ``nn_dist_std`` is left at 0, if ``may_wait``.
 
     Returns:
         (K, F) float32, finite.
@@ -85,15 +89,32 @@ def compute_features(
     _check(points, offsets, ground)
     wanted = _wanted(names)
     planar = np.ascontiguousarray(points.T, np.float32)
-    table, spacing_m = cluster_features(
-        planar, offsets, ground, wanted.hull, wanted.neighbours, wanted.pieces, buffers or Buffers()
-    )
+    buffers = buffers or Buffers()
+    table = cluster_features(planar, offsets, ground, wanted.hull, buffers)
+    if wanted.neighbours and (spacing or wanted.pieces):
+        every = np.arange(len(ground))
+        deviation_m, nearest_m = cluster_spacing(planar, offsets, every, wanted.pieces, buffers)
+        table[:, _INDEX[SPACING]] = deviation_m
     if wanted.pieces:
         first = _INDEX[_PIECE_NAMES[0]]
-        table[:, first : first + 2] = piece_features(np.ascontiguousarray(planar.T), offsets, spacing_m)
+        table[:, first : first + 2] = piece_features(np.ascontiguousarray(planar.T), offsets, nearest_m)
     if wanted.hull_points:
         table[:, _INDEX["hull_point_ratio"]] = hull_point_ratio(points, offsets)
     return table.take(wanted.columns, axis=1)
+
+
+def compute_spacing(
+    points: np.ndarray, offsets: np.ndarray, which: np.ndarray, buffers: Buffers | None = None
+) -> np.ndarray:
+    """``nn_dist_std`` of the clusters ``which`` alone, (J,) float32; the rest as for ``compute_features``."""
+    planar, offsets = np.ascontiguousarray(points.T, np.float32), np.ascontiguousarray(offsets, np.int64)
+    return cluster_spacing(planar, offsets, which, False, buffers or Buffers())[0]
+
+
+def may_wait(names: tuple[str, ...]) -> bool:
+    """Whether ``nn_dist_std`` is among the features, and no other one needs the search for neighbours."""
+    wanted = _wanted(names)
+    return wanted.neighbours and not wanted.pieces
 
 
 @dataclass(frozen=True)
@@ -116,7 +137,7 @@ def _wanted(names: tuple[str, ...]) -> _Wanted:
     pieces = any(name in names for name in _PIECE_NAMES)
     return _Wanted(
         columns=np.array([_INDEX[name] for name in names], np.intp), hull="hull_fill" in names,
-        neighbours=pieces or "nn_dist_std" in names, pieces=pieces, hull_points="hull_point_ratio" in names,
+        neighbours=pieces or SPACING in names, pieces=pieces, hull_points="hull_point_ratio" in names,
     )  # fmt: skip
 
 

@@ -1,7 +1,8 @@
 """A random forest as plain arrays: stored in one ``.npz``, run by one compiled kernel, no training library needed.
 
 The two children of a node lie side by side, so a step down is ``child + (x > threshold)``. A leaf is its own child with
-an infinite threshold: rows that arrive early wait there, and all lanes of a vector walk down a tree in lock step.
+an infinite threshold: rows that arrive early wait there, and all lanes of a vector walk down a tree in lock step
+(``forest_walk.py``).
 """
 
 from __future__ import annotations
@@ -15,23 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from services.infra_lidar.jit import inline, inner, kernel
-from services.infra_lidar.vectors import (
-    LANES,
-    gather,
-    gather_listed,
-    gather_pairs,
-    lane_count,
-    lanes,
-    load,
-    ones,
-    splat,
-    store,
-    unbits,
-)
+from services.infra_lidar.forest_walk import COLUMN_BITS, calibrate, settled, walk
+from services.infra_lidar.vectors import LANES
 
-_COLUMN_BITS = 8  # so many columns of x, and 2 ** 23 nodes, fit into a word
-_TREES = 4  # that are walked together: each waits for memory at every step
 _ARRAYS = ("feature", "threshold", "child", "leaf", "value", "root", "depth", "calibration_x", "calibration_y")
 
 
@@ -58,26 +45,65 @@ class Forest:
 
     def shares(self, x: np.ndarray) -> np.ndarray:
         """(K, F) float32 features to (K, C) float32 mean class shares of the trees (uncalibrated)."""
-        if x.ndim != 2 or x.shape[1] != len(self.features):
-            raise ValueError(f"features: expected shape (K, {len(self.features)}), got {x.shape}")
-        rows = np.ascontiguousarray(x, np.float32)
+        rows = self._rows(x)
         out = np.zeros((len(rows), self.value.shape[1]), np.float32)
-        _walk(rows, self._packed, self.leaf, self.value, self.root, self.depth, out)
+        self._walk(rows, -1, np.empty((2, LANES), np.int32), out, None, None)
         return out
 
+    def settled(self, x: np.ndarray, column: int, enough: float) -> tuple[np.ndarray, np.ndarray]:
+        """Which rows have their class without ``column`` of the features being known; its numbers in x are guesses.
+
+        Returns:
+            shares (K, C) float32 with the guesses; (K,) bool, whether the likeliest class is the same for every number
+            in that column, and always has a probability of at least ``enough``, or none ever has.
+        """
+        rows = self._rows(x)
+        out, low, high = np.zeros((3, len(rows), self.value.shape[1]), np.float32)
+        room = LANES * (self._asked.get(column, 0) + 1)
+        self._walk(rows, column, np.empty((2, room), np.int32), out, low, high)
+        certain = np.empty(len(rows), bool)
+        settled(low, high, self.calibration_x, self.calibration_y, enough, certain)
+        return out, certain
+
+    def typical(self, column: int) -> float:
+        """A number in the middle of what the nodes ask of a column; 0 where none asks."""
+        asked = self.threshold[(self.feature == column) & np.isfinite(self.threshold)]
+        return float(np.median(asked)) if len(asked) else 0.0
+
+    def _rows(self, x: np.ndarray) -> np.ndarray:
+        if x.ndim != 2 or x.shape[1] != len(self.features):
+            raise ValueError(f"features: expected shape (K, {len(self.features)}), got {x.shape}")
+        return np.ascontiguousarray(x, np.float32)
+
+    def _walk(
+        self, rows: np.ndarray, column: int, queue: np.ndarray, out: np.ndarray, low: np.ndarray | None,
+        high: np.ndarray | None,
+    ) -> None:  # fmt: skip
+        nodes, limits = self._packed
+        walk(rows, nodes, limits, self.leaf, self.value, self.root, self.depth, column, queue, out, low, high)
+
     @cached_property
-    def _packed(self) -> np.ndarray:
+    def _asked(self) -> dict[int, int]:
+        """How many nodes ask for a column."""
+        columns, counts = np.unique(self.feature[np.isfinite(self.threshold)], return_counts=True)
+        return dict(zip(columns.tolist(), counts.tolist(), strict=True))
+
+    @cached_property
+    def _packed(self) -> tuple[np.ndarray, np.ndarray]:
         """Nodes as eight bytes each, (N, 2) int32: child and column in one word, then the bits of the threshold. One
-        cache line a step instead of three."""
+        cache line a step instead of three. And the same memory as float32."""
         nodes = np.empty((len(self.feature), 2), np.int32)
-        nodes[:, 0] = (self.child << _COLUMN_BITS) | self.feature
+        nodes[:, 0] = (self.child << COLUMN_BITS) | self.feature
         nodes[:, 1] = self.threshold.view(np.int32)
-        return nodes
+        return nodes, nodes.view(np.float32)
 
     def probabilities(self, x: np.ndarray) -> np.ndarray:
         """(K, C) float32 calibrated probabilities, each row sums to 1."""
-        shares = self.shares(x)
-        _calibrate(shares, self.calibration_x, self.calibration_y)
+        return self.calibrated(self.shares(x))
+
+    def calibrated(self, shares: np.ndarray) -> np.ndarray:
+        """Shares (K, C) float32 to probabilities, in place."""
+        calibrate(shares, self.calibration_x, self.calibration_y)
         return shares
 
     @property
@@ -129,7 +155,7 @@ def load_forest(path: Path) -> Forest:
 def _check(forest: Forest, path: Path) -> None:
     nodes, leaves = len(forest.feature), len(forest.value)
     inner = forest.child != np.arange(nodes)
-    if nodes >= 1 << (31 - _COLUMN_BITS) or len(forest.features) > 1 << _COLUMN_BITS:
+    if nodes >= 1 << (31 - COLUMN_BITS) or len(forest.features) > 1 << COLUMN_BITS:
         raise ModelError(f"{path}: too large, {nodes} nodes over {len(forest.features)} features")
     sound = (
         forest.child.min(initial=0) >= 0
@@ -141,80 +167,5 @@ def _check(forest: Forest, path: Path) -> None:
     )
     if not sound:
         raise ModelError(f"{path}: damaged, nodes point outside of the forest")
-
-
-@kernel
-def _walk(
-    x: np.ndarray, nodes: np.ndarray, leaf: np.ndarray, value: np.ndarray, root: np.ndarray, depth: np.ndarray,
-    out: np.ndarray,
-) -> None:  # fmt: skip
-    trees, rows, columns = len(root), len(x), x.shape[1]
-    classes, shares = value.shape[1], value.reshape(value.size)
-    total = np.zeros(classes * LANES, np.float32)
-    node, here = np.empty(_TREES * LANES, np.int32), np.zeros(columns * LANES, np.float32)
-    for start in range(0, rows, LANES):
-        taken = min(LANES, rows - start)
-        _take_rows(x[start : start + taken], here)
-        total[:] = 0.0
-        for first in range(0, trees, _TREES):
-            number, deepest = min(_TREES, trees - first), 0
-            for t in range(number):
-                store(node, t * LANES, splat(root[first + t]))
-                deepest = max(deepest, depth[first + t])
-            _descend(here, nodes, deepest, node, number)
-            for at in range(0, number * LANES, LANES):
-                store(node, at, gather_listed(leaf, node, at) * np.int32(classes))  # where their shares begin
-                _add_shares(shares, node, at, classes, total)
-        for lane in range(taken):
-            for c in range(classes):
-                out[start + lane, c] = total[c * LANES + lane] / np.float32(trees)
-
-
-@inner
-def _take_rows(x: np.ndarray, here: np.ndarray) -> None:
-    """Rows to lanes; what is not a number counts as 0."""
-    for lane in range(len(x)):
-        for column in range(x.shape[1]):
-            number = x[lane, column]
-            here[column * LANES + lane] = number if number == number else np.float32(0.0)
-
-
-@inline
-def _descend(here, nodes, depth, node, trees):  # type: ignore[no-untyped-def]
-    """Walk down some trees with all lanes at once. node (_TREES * LANES,) int32, where they begin and end."""
-    mask, own = np.int32((1 << _COLUMN_BITS) - 1), lanes()
-    for _ in range(depth):
-        moved = np.int32(0)
-        for t in range(0, trees * LANES, LANES):
-            word, threshold = gather_pairs(nodes, node, t)
-            right = gather(here, (word & mask) * np.int32(LANES) + own) > unbits(threshold)
-            following = (word >> np.int32(_COLUMN_BITS)) + ones(right)
-            moved += lane_count(following != load(node, t))
-            store(node, t, following)
-        if moved == 0:  # all of them have arrived
-            break
-
-
-@inline
-def _add_shares(shares, begin, at, classes, total):  # type: ignore[no-untyped-def]
-    for c in range(classes):
-        store(total, c * LANES, load(total, c * LANES) + gather_listed(shares[c:], begin, at))
-
-
-@kernel
-def _calibrate(shares: np.ndarray, known_x: np.ndarray, known_y: np.ndarray) -> None:
-    """Forest shares (K, C) to probabilities, in place: interpolated between the measured points, summing to 1."""
-    last = known_x.shape[1] - 1
-    for k in range(len(shares)):
-        total = np.float32(0.0)
-        for c in range(shares.shape[1]):
-            x, y, share, b = known_x[c], known_y[c], shares[k, c], 0
-            while b < last and x[b + 1] < share:
-                b += 1
-            part = np.float32(0.0)
-            if b < last and x[b + 1] > x[b]:
-                part = min(max((share - x[b]) / (x[b + 1] - x[b]), np.float32(0.0)), np.float32(1.0))
-            shares[k, c] = y[b] + part * (y[min(b + 1, last)] - y[b]) + np.float32(1e-6)
-            total += shares[k, c]
-        for c in range(shares.shape[1]):
-            shares[k, c] /= total
+    if not np.all(np.diff(forest.calibration_y, axis=1) >= 0):
+        raise ModelError(f"{path}: a calibration curve falls; probabilities rise with the share of trees")

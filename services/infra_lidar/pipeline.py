@@ -16,7 +16,6 @@ from services.infra_lidar.classes import BACKGROUND, CLASSES, LABELS
 from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.features import compute_features
 from services.infra_lidar.result import ClusterSet, FrameResult
 from services.infra_lidar.scene import Parted, Scene
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
@@ -110,9 +109,9 @@ class InfraLidarPipeline:
 
     def _classify(self, parted: Parted, found: ClusterPoints) -> ClusterSet:
         road_z_m = self.scene.ground.road_height(found.box[:, 0], found.box[:, 1])
-        names = self.classifier.feature_names
-        features = compute_features(found.points, found.offsets, road_z_m, names, self._buffers)
-        index, confidence, probabilities = self.classifier.classify(features)
+        features, index, confidence, probabilities = self.classifier.recognise(
+            found.points, found.offsets, road_z_m, self._buffers
+        )
         index[self.scene.structural(parted, found, road_z_m)] = BACKGROUND
         return ClusterSet(
             labels=[LABELS[i] for i in index], confidences=confidence, probabilities=probabilities,

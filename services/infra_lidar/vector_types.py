@@ -12,6 +12,8 @@ from numba import types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
+from services.infra_lidar.jit import ASKED_FIRST
+
 PROCESSOR = binding.get_host_cpu_features()
 LANES = 16 if PROCESSOR.get("avx512f") else 8  # of 32 bits; processors with shorter vectors split them
 
@@ -81,7 +83,7 @@ def _operator(symbols: tuple[Any, ...], emit: dict[Vector, Emit], result: Vector
             return signature(result or kind, *[kind] * len(args)) if kind in emit else None
 
     for symbol in symbols:
-        infer_global(symbol)(type(f"Vector_{symbol.__name__}", (_Template,), {}))
+        infer_global(symbol)(type(f"Vector_{symbol.__name__}", (_Template,), ASKED_FIRST))
         arguments = 1 if symbol is operator.invert else 2
         for kind, build in emit.items():
 

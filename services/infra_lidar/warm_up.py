@@ -22,7 +22,6 @@ from common.stopwatch import Stopwatch
 from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.features import compute_features
 from services.infra_lidar.ground import Levelled
 from services.infra_lidar.kernels_ground import beams_seen
 from services.infra_lidar.pipeline import InfraLidarPipeline
@@ -143,7 +142,7 @@ def compile_features(config: InfraLidarConfig) -> None:
     """Features and classes, of a people."""
     people, classifier = two_people(), Classifier(config.classifier)
     road_z_m = np.zeros(2, np.float32)
-    classifier.classify(compute_features(people.points, people.offsets, road_z_m, classifier.feature_names))
+    classifier.recognise(people.points, people.offsets, road_z_m)
 
 
 def two_people() -> ClusterPoints:

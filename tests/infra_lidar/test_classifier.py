@@ -146,6 +146,29 @@ def test_what_no_class_fits_is_unknown() -> None:
     assert np.all(Classifier(ClassifierConfig(min_confidence=0.0)).classify(x)[0] < len(CLASSES))
 
 
+def test_a_curve_that_falls_is_refused(tmp_path: Path) -> None:
+    forest = two_stumps()
+    forest.calibration_y[2] = [0.0, 0.6, 0.5]
+    forest.save(tmp_path / "f.npz")
+    with pytest.raises(ModelError, match="a calibration curve falls"):
+        load_forest(tmp_path / "f.npz")
+
+
+@pytest.mark.parametrize(
+    ("x", "column", "certain"),
+    [
+        ((0.0, -1.0), 0, False),  # 0.75 against 0.25, or the other way round
+        ((0.0, -1.0), 1, False),  # 0.75 against 0.25, or a tie
+        ((2.0, 1.0), 0, False),  # 0 against 1, or a tie
+        ((2.0, 1.0), 1, True),  # 0 against 1, or 0.25 against 0.75
+    ],
+)
+def test_by_hand_a_class_hangs_on_a_column(x: tuple[float, float], column: int, certain: bool) -> None:
+    shares, got = two_stumps().settled(np.array([x]), column, 0.0)
+    np.testing.assert_array_equal(shares, two_stumps().shares(np.array([x])))
+    assert got[0] == certain
+
+
 def test_the_wrong_number_of_features_is_refused() -> None:
     with pytest.raises(ValueError, match="expected shape"):
         Classifier(ClassifierConfig()).classify(np.zeros((3, 2)))

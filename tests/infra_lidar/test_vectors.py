@@ -1,8 +1,10 @@
 """Vectors in kernels against the same on numpy arrays, lane by lane, on this processor's vectors and on others'."""
 
+import operator
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -11,7 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numba.core.errors import TypingError
+from numba.core.registry import cpu_target
+from numba.core.target_extension import get_local_target
+from numba.core.utils import order_by_target_specificity
 
+from services.infra_lidar.jit import ASKED_FIRST
 from services.infra_lidar.vectors import (
     LANES,
     bit_count,
@@ -245,3 +251,13 @@ def test_the_same_on_other_processors_vectors(features, lanes):
     root_folder = Path(__file__).parents[2]
     done = subprocess.run([sys.executable, "-c", code], cwd=root_folder, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("symbol", [operator.getitem, operator.add, operator.lt])
+def test_the_compiler_asks_for_our_kinds_first(symbol: Any) -> None:
+    context = cpu_target.typing_context
+    known = context.resolve_value_type(symbol).templates
+    assert len(known) > 5
+    first, *others = order_by_target_specificity(get_local_target(context), known)
+    assert first.metadata == ASKED_FIRST["metadata"]
+    assert ASKED_FIRST["metadata"] not in [other.metadata for other in others]
