@@ -17,6 +17,7 @@ import numpy as np
 
 from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.extremes import in_turn
+from services.infra_lidar.feature_hull import hull_area
 from services.infra_lidar.jit import inline, inner, kernel
 from services.infra_lidar.ordering import sort_rising
 from services.infra_lidar.vectors import (
@@ -146,7 +147,7 @@ def _one_cluster(
     row[21], row[22], row[23] = length, width, area * tall
     row[31], row[32] = base + z_low, base + z_high
     if hull and area > 1e-6:
-        row[33] = _hull_area(u[:n], v[:n], u_low, length) / area
+        row[33] = hull_area(u, v, n, u_low, length, width) / area
     row[34] = math.hypot(mx, my)
     row[35] = math.log(n) + 2.0 * math.log(max(row[34], 1.0))
     row[_WIDTH - 1] = 1.0
@@ -286,65 +287,3 @@ def _slice(u, v, z, n, low, high, s):  # type: ignore[no-untyped-def]
         u_low, u_high = smaller(u_low, select(here, along, _LARGE_M)), larger(u_high, select(here, along, -_LARGE_M))
         v_low, v_high = smaller(v_low, select(here, across, _LARGE_M)), larger(v_high, select(here, across, -_LARGE_M))
     return lane_sum(number), lane_max(u_high) - lane_min(u_low), lane_max(v_high) - lane_min(v_low)
-
-
-@inner
-def _hull_area(u: np.ndarray, v: np.ndarray, u_low: float, length: float) -> float:
-    """Area of the bird's-eye convex hull, from the lowest and highest v in 64 columns along the length.
-
-    A hull needs only the extreme points of every column (Bentley, Faust, Preparata 1982): one linear pass, then a
-    chain over at most 64 points below and above. Inside a column the extremes keep their own u, so the area is
-    exact up to points that a column hides behind its extremes (measured: below 1 %).
-    """
-    columns = 64
-    low, high = np.full((2, columns), 0.0, np.float32), np.full((2, columns), 0.0, np.float32)
-    seen = np.zeros(columns, np.bool_)
-    scale, u0 = np.float32((columns - 1) / length) if length > 1e-6 else np.float32(0.0), np.float32(u_low)
-    for i in range(len(u)):
-        c = int((u[i] - u0) * scale)
-        if not seen[c]:
-            seen[c] = True
-            low[0, c], low[1, c], high[0, c], high[1, c] = u[i], v[i], u[i], v[i]
-        elif v[i] < low[1, c]:
-            low[0, c], low[1, c] = u[i], v[i]
-        elif v[i] > high[1, c]:
-            high[0, c], high[1, c] = u[i], v[i]
-    return 0.5 * (_chain(low, seen, 1.0) + _chain(high, seen, -1.0) + _closing(low, high, seen))
-
-
-@inner
-def _chain(side: np.ndarray, seen: np.ndarray, sign: float) -> float:
-    """Twice the signed area under a monotone hull chain (Andrew 1979); sign +1 lower, -1 upper."""
-    stack = np.empty(len(seen), np.int64)
-    top = 0
-    for c in range(len(seen)):
-        if not seen[c]:
-            continue
-        while top >= 2:
-            a, b = stack[top - 2], stack[top - 1]
-            turn = (side[0, b] - side[0, a]) * (side[1, c] - side[1, a]) - (side[1, b] - side[1, a]) * (
-                side[0, c] - side[0, a]
-            )
-            if turn * sign > 0.0:
-                break
-            top -= 1
-        stack[top] = c
-        top += 1
-    total = 0.0
-    for i in range(top - 1):
-        a, b = stack[i], stack[i + 1]
-        total += side[0, a] * side[1, b] - side[0, b] * side[1, a]
-    return total * sign
-
-
-@inner
-def _closing(low: np.ndarray, high: np.ndarray, seen: np.ndarray) -> float:
-    """The two edges that join the lower to the upper chain."""
-    first, last = 0, len(seen) - 1
-    while not seen[first]:
-        first += 1
-    while not seen[last]:
-        last -= 1
-    right = low[0, last] * high[1, last] - high[0, last] * low[1, last]
-    left = high[0, first] * low[1, first] - low[0, first] * high[1, first]
-    return float(right + left)

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import cdist
@@ -124,6 +124,31 @@ def test_hull_fill_is_the_share_of_the_box_that_the_convex_hull_covers() -> None
     got = compute_features(points, offsets, np.zeros(len(shapes)), ("hull_fill", "xy_area"))
     for (fill, area), shape in zip(got, shapes, strict=True):
         assert fill * area == pytest.approx(ConvexHull(shape[:, :2]).volume, rel=0.02)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    seed=st.integers(0, 10_000), n=st.integers(3, 300), step=st.sampled_from([0.0, 0.05, 0.5]),
+    shape=st.sampled_from(["square", "disc", "ring", "corner"]), size=st.tuples(*[st.floats(0.2, 12.0)] * 2),
+)  # fmt: skip
+def test_hull_fill_of_few_points_is_exact(
+    seed: int, n: int, step: float, shape: str, size: tuple[float, float]
+) -> None:
+    rng = np.random.default_rng(seed)
+    place, turn = rng.uniform(-1, 1, (n, 2)), rng.uniform(0, 2 * np.pi, n)
+    if shape == "disc":
+        place = place[np.hypot(*place.T) <= 1]
+    elif shape == "ring":  # every point is a corner, or nearly
+        place = np.column_stack([np.cos(turn), np.sin(turn)])
+    elif shape == "corner":  # what is seen of a car
+        place[np.arange(n), rng.integers(0, 2, n)] = -1.0
+    place = place * size
+    place = np.round(place / step) * step if step else place  # in a grid many are in a line, or in one place
+    points, offsets = stacked([np.column_stack([place, np.linspace(0, 1, len(place))]).astype(np.float32)])
+    assume(len(place) >= 3 and np.linalg.matrix_rank(place - place.mean(axis=0), tol=1e-3) == 2)
+    ((fill, area),) = compute_features(points, offsets, np.zeros(1), ("hull_fill", "xy_area"))
+    hull = ConvexHull(points[:, :2].astype(np.float64)).volume
+    assert fill * area == pytest.approx(hull, rel=1e-4 if n <= 64 else 0.01, abs=1e-4)
 
 
 @settings(max_examples=40, deadline=None)
