@@ -17,18 +17,19 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 demo: setup
 	@$(BIN)/spotter demo $(ARGS)
 
-# Everything: what computes on all cores at once, then what runs real processes one after the other. ARGS="-k word" or a
+# Everything: what computes on all cores at once (three workers for two: one waits for a minute), then what runs real
+# processes one after the other. ARGS="-k word" or a
 # path runs those tests alone.
 test: setup
 ifeq ($(strip $(ARGS)),)
-	@$(BIN)/pytest -q --numprocesses 2 --dist loadfile -m "not system and not netns"
+	@$(BIN)/pytest -q --numprocesses 3 --dist loadfile --no-loadscope-reorder -m "not system and not netns"
 	@$(BIN)/pytest -m "system or netns"
 else
 	@$(BIN)/pytest $(ARGS)
 endif
 
 test-fast: setup
-	@$(BIN)/pytest -q --numprocesses 2 --dist loadfile -m "not slow and not system and not netns" $(ARGS)
+	@$(BIN)/pytest -q --numprocesses 3 --dist loadfile --no-loadscope-reorder -m "not slow and not system and not netns" $(ARGS)
 
 # Breaks the demo in every way that common/drill/drills.toml lists, against deadlines; wants a machine that is not busy.
 drill: setup

@@ -55,6 +55,7 @@ def write_folder(folder: Path, clusters: LabelledClusters) -> None:
         (points - points.mean(axis=0)).astype(np.float32).tofile(place / f"{k:04d}.bin")
 
 
+@pytest.mark.slow
 def test_train_and_evaluate_a_folder(tmp_path: Path) -> None:
     pytest.importorskip("sklearn", reason="needs the train extra")
     pytest.importorskip("matplotlib", reason="needs the plot extra")

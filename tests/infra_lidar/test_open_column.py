@@ -48,7 +48,7 @@ def _decided(forest: Forest, x: np.ndarray, enough: float) -> np.ndarray:
     seed=st.integers(0, 3), weight=st.sampled_from([0.0, 0.3, 2.0]), column=st.integers(0, 4),
     enough=st.sampled_from([0.0, 0.3, 0.45, 0.6, 1.0]), rows=st.integers(1, 40),
 )  # fmt: skip
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_a_settled_class_is_the_same_for_every_number(
     seed: int, weight: float, column: int, enough: float, rows: int
 ) -> None:
@@ -80,9 +80,13 @@ def test_a_column_that_nobody_asks_settles_everything() -> None:
     assert forest.typical(4) == 0.0
 
 
+@pytest.fixture(scope="module")
+def trained() -> Forest:
+    return train_forest(generated_clusters(seed=5, per_class=40), "23", {"source": "test"}, trees=40, max_leaves=40)
+
+
 @pytest.mark.parametrize("enough", [0.0, 0.45, 0.9])
-def test_classes_are_those_of_all_features_but_spacing_is_seldom_needed(enough: float) -> None:
-    trained = train_forest(generated_clusters(seed=5, per_class=40), "23", {"source": "test"}, trees=40, max_leaves=40)
+def test_classes_are_those_of_all_features_but_spacing_is_seldom_needed(trained: Forest, enough: float) -> None:
     classifier = Classifier(ClassifierConfig(min_confidence=enough), trained)
     fresh = generated_clusters(seed=6, per_class=40)
     points, offsets, road_z_m = fresh.points, fresh.offsets, fresh.ground_z_m
