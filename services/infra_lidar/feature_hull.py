@@ -120,7 +120,8 @@ def _thin_out(u: np.ndarray, v: np.ndarray, n: int, u_low: float, length: float)
             kept[0, m], kept[1, m], m = u[low[c]], v[low[c]], m + 1
             if high[c] != low[c]:
                 kept[0, m], kept[1, m], m = u[high[c]], v[high[c]], m + 1
-    u[:m], v[:m] = kept[0, :m], kept[1, :m]
+    for i in range(m):
+        u[i], v[i] = kept[0, i], kept[1, i]
     return m
 
 

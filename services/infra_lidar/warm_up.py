@@ -157,8 +157,8 @@ def two_people() -> ClusterPoints:
 PARTS: dict[str, Callable[[InfraLidarConfig], None]] = {
     "clusters": compile_clusters,
     "tracks": compile_tracks,
-    "scene": compile_scene,
     "features": compile_features,
+    "scene": compile_scene,
 }
 
 
