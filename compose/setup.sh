@@ -26,7 +26,7 @@ step "installing spotter[$EXTRAS] (about a minute the first time)" \
 # So that the first start is no slower than the others, and so are all where Python may not write.
 step "compiling Spotter's own modules" .venv/bin/python -m compileall -q common services
 case ",$EXTRAS," in *,all,* | *,infra-lidar,*)
-    step "compiling the lidar's kernels for this processor (once)" .venv/bin/python -m compose.compile_kernels ;;
+    step "compiling the lidar's kernels for this processor (once)" .venv/bin/python -m services.infra_lidar.compile_kernels ;;
 esac
 touch .venv/.ready
 printf '  setup: ready\n' >&2

@@ -15,6 +15,7 @@ import numba
 import numpy as np
 
 from common.geometry import invert
+from common.processor import aim_at_level
 from common.sim.model import Scenario, WorldState
 from common.sim.solids import GROUND_ID, KINDS, REFLECTIVITY, Solids
 from common.sim.world import world_at
@@ -26,6 +27,7 @@ MAX_RANGE_M = 120.0
 RANGE_NOISE_M = 0.02
 _DROPOUT = 0.01
 _GROUND_REFLECTIVITY = 0.22
+aim_at_level()
 _kernel = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 

@@ -14,9 +14,12 @@ import numba
 from numba.core.typing.arraydecl import GetItemBuffer
 from numba.core.typing.templates import infer_global
 
+from common.processor import aim_at_level
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+aim_at_level()
 ASKED_FIRST = {"metadata": {"target": "cpu"}}  # numba asks what it knows of this target before what it knows of all
 # What kernels index is an array. Elsewise a fourteenth of all compiling goes into asking whether it is a list, a
 # dictionary or a text.

@@ -7,14 +7,15 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
-from llvmlite import binding, ir
+from llvmlite import ir
 from numba import types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
+from common.processor import features
 from services.infra_lidar.jit import ASKED_FIRST
 
-PROCESSOR = binding.get_host_cpu_features()
+PROCESSOR = features()
 LANES = 16 if PROCESSOR.get("avx512f") else 8  # of 32 bits; processors with shorter vectors split them
 
 WORD, BIT = ir.IntType(32), ir.IntType(1)

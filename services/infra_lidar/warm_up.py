@@ -25,6 +25,7 @@ from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.ground import Levelled
 from services.infra_lidar.kernels_ground import beams_seen
 from services.infra_lidar.pipeline import InfraLidarPipeline
+from services.infra_lidar.shipped import lay_out_own
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
 
 log = logging.getLogger(__name__)
@@ -42,6 +43,8 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
     background = msgspec.structs.replace(config.background, learn_s=0.1, min_frames=5, azimuth_cells=90)
     calibration = msgspec.structs.replace(config.calibration, frames=1, hypotheses=16)
     small = msgspec.structs.replace(config, calibration=calibration, background=background, T_map_sensor=())
+    if lay_out_own():
+        log.info("kernels of this installation laid out")
     with _collecting_seldom():
         if _compiled_before():
             tell("loading kernels")
