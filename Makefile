@@ -18,8 +18,7 @@ demo: setup
 	@$(BIN)/spotter demo $(ARGS)
 
 # Everything: what computes on all cores at once (three workers for two: one waits for a minute), then what runs real
-# processes one after the other. ARGS="-k word" or a
-# path runs those tests alone.
+# processes one after the other. ARGS="-k word" or a path runs those tests alone.
 test: setup
 ifeq ($(strip $(ARGS)),)
 	@$(BIN)/pytest -q --numprocesses 3 --dist loadfile --no-loadscope-reorder -m "not system and not netns"

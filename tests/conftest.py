@@ -30,7 +30,7 @@ LIVE_FIXTURES = frozenset({
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark them, before ``-m`` selects; files with slow tests come first, so that two workers end at the same time."""
+    """Mark them, before ``-m`` selects; files with slow tests come first, so that workers end together."""
     for item in items:
         live = isinstance(item, pytest.Function) and not LIVE_FIXTURES.isdisjoint(item.fixturenames)
         if live and item.get_closest_marker("patient") is None:

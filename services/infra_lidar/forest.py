@@ -167,5 +167,18 @@ def _check(forest: Forest, path: Path) -> None:
     )
     if not sound:
         raise ModelError(f"{path}: damaged, nodes point outside of the forest")
+    if not _are_trees(forest.child, forest.threshold):
+        raise ModelError(f"{path}: damaged, nodes do not form trees")
     if not np.all(np.diff(forest.calibration_y, axis=1) >= 0):
         raise ModelError(f"{path}: a calibration curve falls; probabilities rise with the share of trees")
+
+
+def _are_trees(child: np.ndarray, threshold: np.ndarray) -> bool:
+    """Whether every walk ends and no two ways lead to one node: children come behind their parents, two by two, each
+    pair once; leaves never let a row go right."""
+    own = np.arange(len(child))
+    inner = child != own
+    pairs = np.sort(child[inner])
+    return bool(
+        np.all(child[inner] > own[inner]) and np.all(np.diff(pairs) >= 2) and np.all(threshold[~inner] == np.inf)
+    )

@@ -8,6 +8,7 @@ may add to: once for each installation, since the sources have to be those that 
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
 import subprocess
@@ -18,6 +19,8 @@ from pathlib import Path
 from llvmlite import binding
 
 from common.processor import levels_of
+
+log = logging.getLogger(__name__)
 
 STAMP = "installation"  # a file that says which one
 
@@ -34,9 +37,17 @@ def lay_out(shipped: Path, kept: Path) -> bool:
 
 
 def lay_out_own() -> bool:
-    """Those of this installation: SPOTTER_KERNELS says where they are, NUMBA_CACHE_DIR where they are looked for."""
+    """Those of this installation: SPOTTER_KERNELS says where they are, NUMBA_CACHE_DIR where they are looked for. Where
+    that cannot be done, the log says why, and they are compiled."""
     shipped, kept = os.environ.get("SPOTTER_KERNELS"), os.environ.get("NUMBA_CACHE_DIR")
-    return bool(shipped and kept) and lay_out(Path(str(shipped)), Path(str(kept)))
+    try:
+        done = bool(shipped and kept) and lay_out(Path(str(shipped)), Path(str(kept)))
+    except OSError as error:
+        log.warning("the kernels of this installation cannot be laid out: %s", error)
+        return False
+    if done:
+        log.info("kernels of this installation laid out in %s", kept)
+    return done
 
 
 def _read(file: Path) -> bytes:

@@ -22,6 +22,7 @@ from common.stopwatch import Stopwatch
 from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.features import compute_features
 from services.infra_lidar.ground import Levelled
 from services.infra_lidar.kernels_ground import beams_seen
 from services.infra_lidar.pipeline import InfraLidarPipeline
@@ -43,8 +44,7 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
     background = msgspec.structs.replace(config.background, learn_s=0.1, min_frames=5, azimuth_cells=90)
     calibration = msgspec.structs.replace(config.calibration, frames=1, hypotheses=16)
     small = msgspec.structs.replace(config, calibration=calibration, background=background, T_map_sensor=())
-    if lay_out_own():
-        log.info("kernels of this installation laid out")
+    lay_out_own()
     with _collecting_seldom():
         if _compiled_before():
             tell("loading kernels")
@@ -63,6 +63,7 @@ def run_whole(config: InfraLidarConfig) -> None:
     for k in STEPS:
         pipeline.process((10 + k) * FRAME_NS, frame)
     follow_people(pipeline.tracker)
+    know_people(pipeline.classifier)
 
 
 def _compiled_before() -> bool:
@@ -143,8 +144,13 @@ def compile_clusters(config: InfraLidarConfig) -> None:
 
 def compile_features(config: InfraLidarConfig) -> None:
     """Features and classes, of a people."""
-    people, classifier = two_people(), Classifier(config.classifier)
-    road_z_m = np.zeros(2, np.float32)
+    know_people(Classifier(config.classifier))
+
+
+def know_people(classifier: Classifier) -> None:
+    """Two people by all features, and by no more than their classes hang on."""
+    people, road_z_m = two_people(), np.zeros(2, np.float32)
+    classifier.classify(compute_features(people.points, people.offsets, road_z_m, classifier.feature_names))
     classifier.recognise(people.points, people.offsets, road_z_m)
 
 

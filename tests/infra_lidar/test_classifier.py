@@ -109,6 +109,23 @@ def test_nodes_that_point_outside_are_refused(tmp_path: Path) -> None:
         load_forest(tmp_path / "f.npz")
 
 
+@pytest.mark.parametrize(
+    ("array", "node", "number"),
+    [
+        ("child", 3, 1),  # back to another tree
+        ("child", 0, 4),  # two parents
+        ("child", 0, 3),  # a pair that overlaps another one
+        ("threshold", 2, 7.0),  # a leaf that lets rows go right
+    ],
+)
+def test_nodes_that_are_no_trees_are_refused(array: str, node: int, number: float, tmp_path: Path) -> None:
+    forest = two_stumps()
+    getattr(forest, array)[node] = number
+    forest.save(tmp_path / "f.npz")
+    with pytest.raises(ModelError, match="do not form trees"):
+        load_forest(tmp_path / "f.npz")
+
+
 def test_another_set_of_classes_is_refused(tmp_path: Path) -> None:
     forest = two_stumps()
     other = Forest(**{**forest.__dict__, "classes": ("a", "b", "c", "d", "e")})

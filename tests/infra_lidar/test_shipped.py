@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from services.infra_lidar.shipped import STAMP, lay_out
+from services.infra_lidar.shipped import STAMP, lay_out, lay_out_own
 
 
 @pytest.fixture
@@ -48,6 +48,17 @@ def test_what_was_broken_off_is_done_again(shipped: Path, tmp_path: Path) -> Non
 def test_without_shipped_kernels_nothing_happens(tmp_path: Path) -> None:
     assert not lay_out(tmp_path / "none", tmp_path / "kept")
     assert not (tmp_path / "kept").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_told_and_stops_nothing(
+    shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "kept").write_text("a file where the folder should be")
+    monkeypatch.setenv("SPOTTER_KERNELS", str(shipped))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
+    assert not lay_out_own()
+    assert "cannot be laid out" in caplog.text
+    assert str(tmp_path / "kept") in caplog.text
 
 
 USE_ONE = """

@@ -2,11 +2,15 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
-from services.infra_lidar import warm_up
+from services.infra_lidar import features, warm_up
+from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.feature_spacing import cluster_spacing
+from services.infra_lidar.features import SPACING
 from services.infra_lidar.kernels_background import put_back
 from services.infra_lidar.kernels_ground import count_cells
 from services.infra_lidar.tracking import MultiObjectTracker
@@ -28,6 +32,16 @@ def test_a_warm_start_has_run_what_comes_seldom():
     assert count_cells.signatures  # the watch over the pole
 
 
+def test_the_search_for_neighbours_is_ready_before_a_class_hangs_on_it(monkeypatch: pytest.MonkeyPatch):
+    """Both people may be sure without it."""
+    searched: list[int] = []
+    monkeypatch.setattr(features, "cluster_spacing", lambda *a: searched.append(len(a[2])) or cluster_spacing(*a))
+    shipped = Classifier(InfraLidarConfig().classifier).forest
+    names = (SPACING, *[name for name in shipped.features if name != SPACING][1:])
+    warm_up.know_people(Classifier(InfraLidarConfig().classifier, replace(shipped, features=names)))
+    assert 2 in searched
+
+
 @pytest.mark.parametrize("processors", range(1, 9))
 def test_each_part_is_compiled_once(processors: int):
     shares = warm_up.shared_out(processors)
@@ -37,7 +51,8 @@ def test_each_part_is_compiled_once(processors: int):
 
 ALL_PARTS = """
 import sys
-from services.infra_lidar import warm_up
+from services.infra_lidar import features, warm_up
+from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.config import BackgroundConfig, CalibrationConfig, InfraLidarConfig
 
 def signatures():
