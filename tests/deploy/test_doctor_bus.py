@@ -29,7 +29,7 @@ from common.session import close_session, open_session
 from common.site import HostConfig, ServicePlace, Site, TlsConfig
 from common.topics import RADAR_TRACKS
 
-pytestmark = [pytest.mark.timeout(60)]
+pytestmark = [pytest.mark.patient, pytest.mark.timeout(60)]
 TRACKS = RadarTracks(stamp_ns=1, tracks=[], level="SAFE", settled=True, noise_floor_db=-60.0, frame_id="radar")
 SILENT_SENSOR = SensorHealth(state="disconnected", reason="no data for 0.5 s", since_ns=1, age_ms=None, rate_hz=0.0)
 HEALTH = SystemHealth(

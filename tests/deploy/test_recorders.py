@@ -25,7 +25,7 @@ from common.security.rules import laptop_recorders
 from common.session import close_session, open_session
 from common.site import Site
 
-pytestmark = pytest.mark.timeout(60)
+pytestmark = [pytest.mark.patient, pytest.mark.timeout(60)]
 OWN = "laptop1/recorder/status"
 NOT_OWN = (
     "laptop2/recorder/status",

@@ -24,7 +24,7 @@ from common.messages import LaserScan, LidarZones, ServiceStatus
 from common.session import open_session
 from common.sim import ld06
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.patient
 BUDGET_S = 20.0
 BACK_S = 2.0  # from the device's return to the first zones: retries are at most 1 s apart, then one whole turn
 
