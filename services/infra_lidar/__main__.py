@@ -8,6 +8,7 @@ import sys
 
 import msgspec
 
+from common.config import ConfigError
 from common.launch import flag_as_command, service_app
 from common.raw import RawTap, changes
 from common.runtime import Service
@@ -28,11 +29,11 @@ def run(config: InfraLidarConfig) -> bool:
     """Work until interrupted or until the source ends."""
     configured, config = config, msgspec.structs.replace(config, T_map_sensor=surveyed_pose(config))
     store = Store(config.calibration.store)
+    pipeline = InfraLidarPipeline(config, *store.load())
     with Service("infra_lidar", config) as service:
         frames = open_source(config, service.report)
         warm_up(config, lambda text: service.report.state("starting", text))
         gc.freeze()  # a million objects of the compiler stay for good; to look for garbage among them costs 0.1 s
-        pipeline = InfraLidarPipeline(config, *store.load())
         request = RecalibrationRequest(service)
         publish_tracks = service.publisher(INFRA_TRACKS)
         publish_clusters = service.publisher(INFRA_CLUSTERS)
@@ -60,7 +61,11 @@ add_commands(app)
 
 def main() -> None:
     """Console entry point."""
-    app(args=flag_as_command(sys.argv[1:], "plot"))
+    try:
+        app(args=flag_as_command(sys.argv[1:], "plot"))
+    except ConfigError as error:  # of a subcommand
+        sys.stderr.write(f"spotter: {error}\n")
+        raise SystemExit(2) from None
 
 
 if __name__ == "__main__":

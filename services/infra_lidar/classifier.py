@@ -34,9 +34,13 @@ class Classifier:
 
     def __init__(self, config: ClassifierConfig, forest: Forest | None = None) -> None:
         path = Path(config.model) if config.model else SHIPPED_MODEL
-        self.forest = forest or load_forest(path)
+        try:
+            self.forest = forest or load_forest(path)
+        except ModelError as error:
+            raise ModelError(f"[classifier] model: {error}") from None
         if self.forest.classes != CLASSES:
-            raise ModelError(f"{path}: made for the classes {self.forest.classes}, expected {CLASSES}")
+            known = f"made for the classes {self.forest.classes}, expected {CLASSES}"
+            raise ModelError(f"[classifier] model: {path}: {known}")
         self.feature_names = self.forest.features
         self._min_confidence = config.min_confidence
         self._waits = may_wait(self.feature_names)

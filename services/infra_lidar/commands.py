@@ -67,8 +67,9 @@ def evaluate(
     from services.infra_lidar import training_data
     from services.infra_lidar.forest import load_forest
 
+    forest = load_forest(model)
     test = training_data.test_set(folder, scenes, TEST_SEED)
-    result = evaluation.evaluate_forest(load_forest(model), test)
+    result = evaluation.evaluate_forest(forest, test)
     _say(evaluation.class_table(result), "", evaluation.confusion_table(result))
     rows = []
     if ablate:

@@ -16,13 +16,14 @@ from typing import Any
 
 import numpy as np
 
+from common.config import ConfigError
 from services.infra_lidar.forest_walk import COLUMN_BITS, calibrate, settled, walk
 from services.infra_lidar.vectors import LANES
 
 _ARRAYS = ("feature", "threshold", "child", "leaf", "value", "root", "depth", "calibration_x", "calibration_y")
 
 
-class ModelError(ValueError):
+class ModelError(ConfigError):
     """The model file is not what it says it is; the text says why."""
 
 
