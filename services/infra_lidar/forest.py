@@ -170,7 +170,7 @@ def _check(forest: Forest, path: Path) -> None:
         raise ModelError(f"{path}: damaged, nodes point outside of the forest")
     if not _are_trees(forest.child, forest.threshold):
         raise ModelError(f"{path}: damaged, nodes do not form trees")
-    if not np.all(np.diff(forest.calibration_y, axis=1) >= 0):
+    if not all(np.all(np.diff(curve, axis=1) >= 0) for curve in (forest.calibration_x, forest.calibration_y)):
         raise ModelError(f"{path}: a calibration curve falls; probabilities rise with the share of trees")
 
 

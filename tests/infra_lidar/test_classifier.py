@@ -184,9 +184,10 @@ def test_what_no_class_fits_is_unknown() -> None:
     assert np.all(Classifier(ClassifierConfig(min_confidence=0.0)).classify(x)[0] < len(CLASSES))
 
 
-def test_a_curve_that_falls_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("curve", ["calibration_x", "calibration_y"])
+def test_a_curve_that_falls_is_refused(curve: str, tmp_path: Path) -> None:
     forest = two_stumps()
-    forest.calibration_y[2] = [0.0, 0.6, 0.5]
+    getattr(forest, curve)[2] = [0.0, 0.6, 0.5]
     forest.save(tmp_path / "f.npz")
     with pytest.raises(ModelError, match="a calibration curve falls"):
         load_forest(tmp_path / "f.npz")
