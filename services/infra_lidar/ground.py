@@ -60,6 +60,7 @@ class Ground:
         bins = int(np.ceil(kernels.bin_place(highest) - kernels.bin_place(lowest))) + 1
         bins += -bins % kernels.CHUNK
         self._histogram = np.zeros((cells, bins), np.uint16)
+        self._fours = self._histogram.view(np.uint64)  # four bins at a time
         self._count = np.zeros(cells, np.int32)
         self.height_m = np.full(cells, np.nan, np.float32)
         self.surface = np.zeros((cells, 3), np.float32)
@@ -69,9 +70,9 @@ class Ground:
         """Level (N, 3+) float32 sensor-frame points, find the road in them, and label it."""
         points, frame = np.ascontiguousarray(points, np.float32), self._room(len(points))
         m, frame.returns, frame.near = kernels.find_ground(
-            points, T_level_sensor.astype(np.float32), self._settings, self._near_m, self._histogram, self._count,
-            self.height_m, self.surface.reshape(self.rings, self.sectors, 3), self.accepted, frame.x, frame.y, frame.z,
-            frame.cell, frame.ground, frame.points, frame.rest,
+            points, T_level_sensor.astype(np.float32), self._settings, self._near_m, self._histogram, self._fours,
+            self._count, self.height_m, self.surface.reshape(self.rings, self.sectors, 3), self.accepted, frame.x,
+            frame.y, frame.z, frame.cell, frame.ground, frame.points, frame.rest,
         )  # fmt: skip
         frame.rest = frame.rest[:m]
         return frame
@@ -95,7 +96,7 @@ class Ground:
             points, T_level_sensor.astype(np.float32), self._settings, self._near_m, self._histogram, frame.x, frame.y,
             frame.z, frame.cell,
         )  # fmt: skip
-        kernels.count_cells(self._histogram, self._count)
+        kernels.count_cells(self._fours, self._count)
         return frame
 
     @property

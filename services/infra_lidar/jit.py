@@ -11,10 +11,13 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.registry import cpu_target
 from numba.core.typing.arraydecl import GetItemBuffer
 from numba.core.typing.templates import infer_global
 
 from common.processor import aim_at_level
+from services.infra_lidar.code_on_demand import CodegenOnDemand
+from services.infra_lidar.direct_calls import put_down_in_place
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -24,17 +27,21 @@ ASKED_FIRST = {"metadata": {"target": "cpu"}}  # numba asks what it knows of thi
 # What kernels index is an array. Elsewise a fourteenth of all compiling goes into asking whether it is a list, a
 # dictionary or a text.
 infer_global(operator.getitem)(type("ArraysFirst", (GetItemBuffer,), ASKED_FIRST))
+put_down_in_place(ASKED_FIRST)
+cpu_target.target_context.codegen().__class__ = CodegenOnDemand  # the one that there is has no other way to be replaced
+
+_NOT_FROM_C: dict[str, Any] = {"no_cfunc_wrapper": True}  # which numba's types do not know
+_NOT_FROM_PYTHON = _NOT_FROM_C | {"no_cpython_wrapper": True}
 
 
 def kernel(function: F) -> F:
     """Compile on first call for the argument types met; the result is cached beside the source file."""
-    return cast(F, numba.njit(nogil=True, cache=True, error_model="numpy")(function))
+    return cast(F, numba.njit(nogil=True, cache=True, error_model="numpy", **_NOT_FROM_C)(function))
 
 
 def inner(function: F) -> F:
     """A function that only kernels call: without a way in from Python, it takes a quarter less time to compile."""
-    no_way_in: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    return cast(F, numba.njit(nogil=True, error_model="numpy", **no_way_in)(function))
+    return cast(F, numba.njit(nogil=True, error_model="numpy", **_NOT_FROM_PYTHON)(function))
 
 
 def inline(function: F) -> F:
@@ -45,4 +52,4 @@ def inline(function: F) -> F:
 def sum_kernel(function: F) -> F:
     """A kernel of sums and extremes only: their order may change, so that they vectorise. Never for binning."""
     freedom = {"reassoc", "nsz", "nnan", "contract"}
-    return cast(F, numba.njit(nogil=True, cache=True, error_model="numpy", fastmath=freedom)(function))
+    return cast(F, numba.njit(nogil=True, cache=True, error_model="numpy", fastmath=freedom, **_NOT_FROM_C)(function))

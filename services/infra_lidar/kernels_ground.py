@@ -50,7 +50,7 @@ SETTINGS = np.dtype(
 
 @kernel
 def find_ground(  # type: ignore[no-untyped-def]
-    points, T, s, near_m, histogram, number, height, surface, accepted, x, y, z, cell, ground, others, rest
+    points, T, s, near_m, histogram, fours, number, height, surface, accepted, x, y, z, cell, ground, others, rest
 ):
     """Level (N, 3+) float32 points, find the road in them, label it, and gather the rest: see the steps.
 
@@ -58,7 +58,7 @@ def find_ground(  # type: ignore[no-untyped-def]
     them closer than near_m).
     """
     returns, near = level(points, T, s, near_m, histogram, x, y, z, cell)
-    cell_heights(histogram, s, number, height)
+    cell_heights(histogram, fours, s, number, height)
     fit = height.reshape(accepted.shape)
     if s.flat:
         flat_surface(fit, s, surface, accepted)
@@ -174,13 +174,14 @@ def _bin_place(height):  # type: ignore[no-untyped-def]
 
 
 @inner
-def cell_heights(histogram, s, number, height):  # type: ignore[no-untyped-def]
+def cell_heights(histogram, fours, s, number, height):  # type: ignore[no-untyped-def]
     """Low percentile of each cell's heights by selection, rank max(1, int(percentile n)); NaN where too few points.
 
-    number (cells,) int32 is the number of points: cells are counted from their bins, since neighbours in time often
-    share a cell, and adding to one counter again and again waits for memory each time. What was counted is cleared.
+    fours (cells, bins / 4) uint64 is the histogram, four bins at a time. number (cells,) int32 is the number of points:
+    cells are counted from their bins, since neighbours in time often share a cell, and adding to one counter again and
+    again waits for memory each time. What was counted is cleared.
     """
-    fours, bins = histogram.view(np.uint64), histogram.shape[1]
+    bins = histogram.shape[1]
     for c in range(number.shape[0]):
         n = _sum(fours, c, 0, bins)
         number[c], height[c] = n, np.nan
@@ -195,9 +196,9 @@ def cell_heights(histogram, s, number, height):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def count_cells(histogram, number):  # type: ignore[no-untyped-def]
+def count_cells(fours, number):  # type: ignore[no-untyped-def]
     """The number of points of each cell, where nothing else is asked of its heights. What was counted is cleared."""
-    fours, bins = histogram.view(np.uint64), histogram.shape[1]
+    bins = 4 * fours.shape[1]
     for c in range(number.shape[0]):
         number[c] = _sum(fours, c, 0, bins)
         if number[c] > 0:

@@ -1,15 +1,15 @@
-"""Sorting a few hundred numbers, for kernels.
+"""Sorting and sifting a few hundred numbers, for kernels.
 
-numpy's ``sort`` and ``argsort`` would do, but take the compiler seconds for each type and each kernel that calls them:
-these take it a tenth of one. Whoever changes this file has to clear the compiled kernels of its users: their cache does
-not notice.
+numpy's ``sort``, ``argsort`` and ``flatnonzero`` would do, but take the compiler seconds for each type and each kernel
+that calls them: these take it a tenth of one. Whoever changes this file has to clear the compiled kernels of its users:
+their cache does not notice.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import kernel
+from services.infra_lidar.jit import inner, kernel
 
 
 @kernel
@@ -48,3 +48,14 @@ def sort_rising(values):  # type: ignore[no-untyped-def]
                 j -= step
             values[j] = moved
         step //= 3
+
+
+@inner
+def places_of(flags):  # type: ignore[no-untyped-def]
+    """(m,) int64: indices of the flags or numbers (n,) that are not 0."""
+    places, m = np.empty(len(flags), np.int64), 0
+    for i in range(len(flags)):
+        if flags[i]:
+            places[m] = i
+            m += 1
+    return places[:m]

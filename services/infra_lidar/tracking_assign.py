@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from services.infra_lidar.jit import inner, kernel
-from services.infra_lidar.ordering import rising
+from services.infra_lidar.ordering import places_of, rising
 from services.infra_lidar.tracking_filter import innovation
 
 FORBIDDEN = 1e6
@@ -69,7 +69,7 @@ def easy_pairs(
         easy[i] = in_row[rows[i]] == 1 and in_column[columns[i]] == 1
         if easy[i]:
             in_row[rows[i]] = in_column[columns[i]] = 0
-    contested_t, contested_d = np.flatnonzero(in_row), np.flatnonzero(in_column)
+    contested_t, contested_d = places_of(in_row), places_of(in_column)
     for i in range(len(contested_t)):
         in_row[contested_t[i]] = i
     for i in range(len(contested_d)):

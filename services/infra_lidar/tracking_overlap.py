@@ -9,7 +9,7 @@ import numpy as np
 
 from services.infra_lidar.classes import BACKGROUND, CLASSES
 from services.infra_lidar.jit import inner
-from services.infra_lidar.ordering import rising
+from services.infra_lidar.ordering import places_of, rising
 from services.infra_lidar.tracking_assign import another_size
 
 _SAME_CLASS = 0.3  # chance of being of one class from which on a piece may belong to a whole
@@ -33,7 +33,7 @@ def founders(tracks: np.ndarray, detections: np.ndarray, taken: np.ndarray, p: A
     if p.visible:
         for t in range(len(tracks)):
             _claim_pieces(tracks[t], detections, free)
-    return np.flatnonzero(free)
+    return places_of(free)
 
 
 @inner

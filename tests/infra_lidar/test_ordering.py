@@ -1,12 +1,18 @@
-"""The kernels' own sorting against numpy's."""
+"""The kernels' own sorting and sifting against numpy's."""
 
+import numba
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.infra_lidar.ordering import rising, sort_rising
+from services.infra_lidar.ordering import places_of, rising, sort_rising
 
 NUMBERS = st.lists(st.floats(-1e6, 1e6, width=32), max_size=120)
+
+
+@numba.njit
+def _places(flags):
+    return places_of(flags)
 
 
 @given(NUMBERS)
@@ -21,3 +27,9 @@ def test_sorted_in_place(numbers):
     expected = np.sort(values)
     sort_rising(values)
     assert np.array_equal(values, expected)
+
+
+@given(st.lists(st.integers(-1, 1), max_size=60))
+def test_places_are_numpys_flatnonzero(numbers):
+    for flags in (np.array(numbers, np.int64), np.array(numbers, np.int64) > 0):
+        assert np.array_equal(_places(flags), np.flatnonzero(flags))
