@@ -1,6 +1,9 @@
 """Numbers and arrays put down in place are those of Python and numpy."""
 
+import operator
 from collections.abc import Callable
+from contextlib import suppress
+from itertools import product
 from typing import Any
 
 import numba
@@ -8,6 +11,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba.core import types
+from numba.core.errors import NumbaError
+from numba.core.registry import cpu_target
 from numba.core.runtime import _nrt_python, rtsys
 
 from services.infra_lidar import jit
@@ -126,3 +132,33 @@ def test_kernels_are_what_this_is_for():
         return halves(n).sum() + max(n, 3)
 
     assert total(2) == 4.0
+
+
+KINDS = (types.boolean, types.uint8, types.int32, types.uint32, types.int64, types.uint64, types.float32, types.float64)
+ARITHMETIC = (operator.add, operator.sub, operator.mul, operator.truediv, operator.floordiv, operator.mod)
+ORDER_AND_BITS = (operator.lt, operator.le, operator.gt, operator.ge, operator.and_, operator.or_, operator.xor)
+
+
+def typed_by(templates: list[Any], args: tuple[Any, ...]) -> Any:
+    """The first signature that one of them knows."""
+    for template in templates:
+        with suppress(NumbaError):
+            if (found := template(cpu_target.typing_context).apply(args, {})) is not None:
+                return found
+    return None
+
+
+@pytest.mark.parametrize("symbol", ARITHMETIC + ORDER_AND_BITS)
+def test_asking_for_numbers_first_makes_no_other_numbers_of_them(symbol):
+    context = cpu_target.typing_context
+    context.refresh()
+    known = context.resolve_value_type(symbol).templates
+    first = [template for template in known if template.metadata == jit.ASKED_FIRST["metadata"]]
+    others = [template for template in known if template not in first]
+    assert first
+    assert others
+    for args in product(KINDS, KINDS):
+        assert typed_by(first + others, args) == typed_by(others, args), args
+    array = types.Array(types.float32, 1, "C")
+    for args in ((array, types.float64), (types.int32, array), (array, array)):
+        assert typed_by(first, args) is None, args
