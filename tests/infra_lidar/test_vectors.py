@@ -254,16 +254,19 @@ def test_the_same_on_other_processors_vectors(features, lanes):
 
 
 @pytest.mark.parametrize(
-    "symbol", [operator.getitem, operator.add, operator.lt, min, max, np.empty, np.full, np.arange]
+    ("symbol", "others"),
+    [
+        *((symbol, 5) for symbol in (operator.getitem, operator.add, operator.lt)),
+        *((symbol, 1) for symbol in (min, max, np.empty, np.zeros, np.ones, np.full, np.arange)),
+    ],
 )
-def test_the_compiler_asks_for_our_kinds_first(symbol: Any) -> None:
+def test_the_compiler_asks_for_our_kinds_first(symbol: Any, others: int) -> None:
     context = cpu_target.typing_context
     context.refresh()
     known = context.resolve_value_type(symbol).templates
-    assert len(known) > 1
     asked = [
         t.metadata == ASKED_FIRST["metadata"] for t in order_by_target_specificity(get_local_target(context), known)
     ]
-    assert asked[0]
     assert asked == sorted(asked, reverse=True)
-    assert not asked[-1]
+    assert asked.count(True) >= 1
+    assert asked.count(False) >= others
