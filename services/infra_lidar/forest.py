@@ -1,8 +1,7 @@
 """A random forest as plain arrays: stored in one ``.npz``, run by one compiled kernel, no training library needed.
 
 The two children of a node lie side by side, so a step down is ``child + (x > threshold)``. A leaf is its own child with
-an infinite threshold: rows that arrive early wait there, and all lanes of a vector walk down a tree in lock step
-(``forest_walk.py``).
+an infinite threshold: rows that arrive early wait there, and several walk down a tree in step (``forest_walk.py``).
 """
 
 from __future__ import annotations
@@ -17,10 +16,9 @@ from typing import Any
 import numpy as np
 
 from common.config import ConfigError
-from services.infra_lidar.forest_walk import COLUMN_BITS, calibrate, settled, walk
-from services.infra_lidar.vectors import LANES
+from services.infra_lidar.forest_walk import COLUMN_BITS, NO_NUMBER, TOGETHER, calibrate, settled, walk
 
-_ARRAYS = ("feature", "threshold", "child", "leaf", "value", "root", "depth", "calibration_x", "calibration_y")
+_ARRAYS = ("feature", "threshold", "child", "leaf", "value", "root", "calibration_x", "calibration_y")
 
 
 class ModelError(ConfigError):
@@ -29,15 +27,14 @@ class ModelError(ConfigError):
 
 @dataclass(frozen=True)
 class Forest:
-    """N nodes of T trees over F features, L leaves with C class shares each, B points of calibration per class."""
+    """N nodes of T trees over F features, L kinds of leaves with shares of C classes, B points of calibration per class."""
 
     feature: np.ndarray  # (N,) int32 column of x
     threshold: np.ndarray  # (N,) float32; goes right if x > threshold
     child: np.ndarray  # (N,) int32 left child, the right one follows; a leaf names itself
-    leaf: np.ndarray  # (N,) int32 row of `value`, 0 for inner nodes
-    value: np.ndarray  # (L, C) float32 class shares
+    leaf: np.ndarray  # (N,) int32 row of `value`; that of an inner node means nothing
+    value: np.ndarray  # (L, C) float32 class shares; leaves that say the same have one row
     root: np.ndarray  # (T,) int32
-    depth: np.ndarray  # (T,) int32
     calibration_x: np.ndarray  # (C, B) float32 forest share, rising
     calibration_y: np.ndarray  # (C, B) float32 measured frequency
     classes: tuple[str, ...]
@@ -48,7 +45,7 @@ class Forest:
         """(K, F) float32 features to (K, C) float32 mean class shares of the trees (uncalibrated)."""
         rows = self._rows(x)
         out = np.zeros((len(rows), self.value.shape[1]), np.float32)
-        self._walk(rows, -1, np.empty((2, LANES), np.int32), out, None, None)
+        self._walk(rows, -1, None, out, None, None)
         return out
 
     def settled(self, x: np.ndarray, column: int, enough: float) -> tuple[np.ndarray, np.ndarray]:
@@ -60,7 +57,7 @@ class Forest:
         """
         rows = self._rows(x)
         out, low, high = np.zeros((3, len(rows), self.value.shape[1]), np.float32)
-        room = LANES * (self._asked.get(column, 0) + 1)
+        room = TOGETHER * (self._asked.get(column, 0) + 1)
         self._walk(rows, column, np.empty((2, room), np.int32), out, low, high)
         certain = np.empty(len(rows), bool)
         settled(low, high, self.calibration_x, self.calibration_y, enough, certain)
@@ -77,11 +74,11 @@ class Forest:
         return np.ascontiguousarray(x, np.float32)
 
     def _walk(
-        self, rows: np.ndarray, column: int, queue: np.ndarray, out: np.ndarray, low: np.ndarray | None,
+        self, rows: np.ndarray, column: int, queue: np.ndarray | None, out: np.ndarray, low: np.ndarray | None,
         high: np.ndarray | None,
     ) -> None:  # fmt: skip
         nodes, limits = self._packed
-        walk(rows, nodes, limits, self.leaf, self.value, self.root, self.depth, column, queue, out, low, high)
+        walk(rows, nodes, limits, self.value, self.root, column, queue, out, low, high)
 
     @cached_property
     def _asked(self) -> dict[int, int]:
@@ -91,12 +88,13 @@ class Forest:
 
     @cached_property
     def _packed(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes as eight bytes each, (N, 2) int32: child and column in one word, then the bits of the threshold. One
-        cache line a step instead of three. And the same memory as float32."""
+        """Nodes as ``walk`` takes them, eight bytes each: one cache line a step instead of three. And the same memory
+        as float32."""
         nodes = np.empty((len(self.feature), 2), np.int32)
         nodes[:, 0] = (self.child << COLUMN_BITS) | self.feature
-        nodes[:, 1] = self.threshold.view(np.int32)
-        return nodes, nodes.view(np.float32)
+        leaves = self.child == np.arange(len(self.child))
+        nodes[:, 1] = np.where(leaves, NO_NUMBER | self.leaf, self.threshold.view(np.int32))
+        return nodes.ravel(), nodes.ravel().view(np.float32)
 
     def probabilities(self, x: np.ndarray) -> np.ndarray:
         """(K, C) float32 calibrated probabilities, each row sums to 1."""

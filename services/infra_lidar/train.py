@@ -77,20 +77,29 @@ def flatten(
     parts = [_flatten_tree(estimator.tree_, model.classes_) for estimator in model.estimators_]
     node_starts = np.cumsum([0, *(len(part["child"]) for part in parts)])
     leaf_starts = np.cumsum([0, *(len(part["value"]) for part in parts)])
+    leaf = np.concatenate([p["leaf"] + s for p, s in zip(parts, leaf_starts[:-1], strict=True)])
+    value, row = distinct(np.concatenate([p["value"] for p in parts]).astype(np.float32))
     return Forest(
         feature=np.concatenate([p["feature"] for p in parts]).astype(np.int32),
         threshold=np.concatenate([p["threshold"] for p in parts]).astype(np.float32),
         child=np.concatenate([p["child"] + s for p, s in zip(parts, node_starts[:-1], strict=True)]).astype(np.int32),
-        leaf=np.concatenate([p["leaf"] + s for p, s in zip(parts, leaf_starts[:-1], strict=True)]).astype(np.int32),
-        value=np.concatenate([p["value"] for p in parts]).astype(np.float32),
+        leaf=row[leaf].astype(np.int32),
+        value=value,
         root=node_starts[:-1].astype(np.int32),
-        depth=np.array([p["depth"] for p in parts], np.int32),
         calibration_x=curve_x,
         calibration_y=curve_y,
         classes=CLASSES,
         features=names,
         provenance=provenance,
     )
+
+
+def distinct(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rows of (L, C) that differ, frequent ones first, and (L,) which of them each is: most leaves of a forest say
+    what many others say, too, and what is small stays in the caches."""
+    rows, which, count = np.unique(value, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(-count, kind="stable")
+    return rows[order], np.argsort(order, kind="stable")[which.ravel()]
 
 
 def _flatten_tree(tree: Any, present: np.ndarray) -> dict[str, Any]:
@@ -114,7 +123,6 @@ def _flatten_tree(tree: Any, present: np.ndarray) -> dict[str, Any]:
         "child": child,
         "leaf": np.where(leaves, np.cumsum(leaves) - 1, 0),
         "value": value,
-        "depth": int(tree.max_depth),
     }
 
 

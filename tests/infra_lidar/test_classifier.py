@@ -27,7 +27,6 @@ def two_stumps() -> Forest:
         leaf=np.array([0, 0, 1, 0, 2, 3], np.int32),
         value=np.array([[1, 0, 0, 0, 0], [0, 1, 0, 0, 0], [0.5, 0.5, 0, 0, 0], [0, 1, 0, 0, 0]], np.float32),
         root=np.array([0, 3], np.int32),
-        depth=np.array([1, 1], np.int32),
         calibration_x=np.tile(np.linspace(0, 1, 3, dtype=np.float32), (5, 1)),
         calibration_y=np.tile(np.linspace(0, 1, 3, dtype=np.float32), (5, 1)),
         classes=CLASSES,
@@ -48,6 +47,14 @@ def two_stumps() -> Forest:
 )
 def test_shares_by_hand(x: tuple[float, float], expected: tuple[float, float]) -> None:
     assert two_stumps().shares(np.array([x]))[0, :2] == pytest.approx(expected)
+
+
+def test_a_leaf_beyond_the_first_tree_is_found_whatever_its_row() -> None:
+    forest = two_stumps()
+    crowded = np.concatenate((np.full((70_000, 5), 0.2, np.float32), forest.value))
+    far = Forest(**{**forest.__dict__, "value": crowded, "leaf": forest.leaf + np.int32(70_000)})
+    x = np.random.default_rng(0).normal(0, 2, (9, 2)).astype(np.float32)
+    np.testing.assert_array_equal(far.shares(x), forest.shares(x))
 
 
 def test_rows_do_not_influence_each_other() -> None:

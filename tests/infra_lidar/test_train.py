@@ -13,7 +13,7 @@ from sklearn.ensemble import RandomForestClassifier
 
 from services.infra_lidar.classes import CLASSES
 from services.infra_lidar.features import FEATURE_SETS, compute_features
-from services.infra_lidar.train import calibrate, flatten, out_of_group_shares, train_forest
+from services.infra_lidar.train import calibrate, distinct, flatten, out_of_group_shares, train_forest
 from services.infra_lidar.training_clusters import (
     LabelledClusters,
     collect,
@@ -39,6 +39,12 @@ def test_the_arrays_decide_exactly_as_scikit_learn() -> None:
     shares = forest.shares(fresh)
     np.testing.assert_allclose(shares[:, :4], model.predict_proba(fresh), atol=1e-6)
     assert np.all(shares[:, 4] == 0)  # a class that was not in the training data
+
+
+def test_equal_leaves_share_a_row_and_the_frequent_come_first() -> None:
+    rows, which = distinct(np.array([[0, 1], [1, 0], [0.5, 0.5], [1, 0], [0.5, 0.5], [1, 0]], np.float32))
+    np.testing.assert_array_equal(rows, [[1, 0], [0.5, 0.5], [0, 1]])
+    np.testing.assert_array_equal(which, [2, 0, 1, 0, 1, 0])
 
 
 def test_values_on_a_threshold_go_the_same_way() -> None:
