@@ -17,6 +17,7 @@ from services.infra_lidar.vectors import (
     larger,
     load,
     ones,
+    prefetch,
     root,
     select,
     smaller,
@@ -188,7 +189,7 @@ def sift(points, columns, rows, packed, near_m, known, ground, source, fresh):  
     n, width = points.shape
     flat, near_m2, m = points.reshape(points.size), near_m * near_m, 0
     returns, near = splat(np.int32(0)), splat(np.int32(0))
-    fresh_x, fresh_y, fresh_z = fresh[0], fresh[1], fresh[2]
+    fresh_x, fresh_y, fresh_z, words = fresh[0], fresh[1], fresh[2], packed.reshape(packed.size)
     at, step = np.empty(BLOCK + LANES, np.int32), np.empty(BLOCK + LANES, np.int32)
     for start in range(0, n, BLOCK):
         rows_from, begin = whole_block(flat, width, start, n)
@@ -201,6 +202,8 @@ def sift(points, columns, rows, packed, near_m, known, ground, source, fresh):  
             returns += ones(there)
             near += ones(there & (squared < near_m2))
             store(at, i, _cell(x, y, z, ring, width > 4, squared, columns, rows))
+            for k in range(0, LANES, 4):  # bring the cells nearer: since the last frame all memory was used for else
+                prefetch(words, 2 * np.int64(at[i + k]))
             store(step, i, select(there, smaller((bits(squared) - LEAST_BITS) >> 13, LAST_STEP), NO_STEP))
         for i in range(0, size, LANES):  # a loop of its own: shorter ones overlap better
             first, second = gather_pairs(packed, at, i)
