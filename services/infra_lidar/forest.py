@@ -27,7 +27,7 @@ class ModelError(ConfigError):
 
 @dataclass(frozen=True)
 class Forest:
-    """N nodes of T trees over F features, L kinds of leaves with shares of C classes, B points of calibration per class."""
+    """N nodes of T trees over F features, L kinds of leaves with shares of C classes, B points of calibration each."""
 
     feature: np.ndarray  # (N,) int32 column of x
     threshold: np.ndarray  # (N,) float32; goes right if x > threshold
