@@ -25,7 +25,7 @@ class BackgroundModel:
     """What is kept on disk: the known ranges (cells, 2) int32 as ``kernels_background.pack`` makes them, the grid
     and how much it explains.
 
-    surface: (cells of the polar grid, 3) float32, the road at the time. structure: (2, side, side) bool, see
+    surface: (cells of the polar grid, 3) float32, the road at the time. structure: (2, side, words) int32, see
     ``structure.py``; empty until it is drawn.
     """
 
@@ -34,7 +34,7 @@ class BackgroundModel:
     rows: int
     known_share: float
     surface: np.ndarray
-    structure: np.ndarray = field(default_factory=lambda: np.zeros((2, 0, 0), bool))
+    structure: np.ndarray = field(default_factory=lambda: np.zeros((2, 0, 0), np.int32))
 
 
 @dataclass(frozen=True)

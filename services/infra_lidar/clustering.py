@@ -14,6 +14,7 @@ import numpy as np
 from services.infra_lidar import kernels_clusters as clusters
 from services.infra_lidar import kernels_steps as kernels
 from services.infra_lidar.buffers import LINE_FLOATS, Buffers
+from services.infra_lidar.cells import CellGrid
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.ground import Levelled
 
@@ -23,8 +24,9 @@ class ClusterPoints:
     """Clusters of one frame in the level frame.
 
     cluster_id: (N,) int32 per point of the frame, -1 = none. planar: (3, M) float32 x, y, z, grouped; cluster k has
-    planar[:, offsets[k]:offsets[k + 1]]. offsets: (K + 1,) int32. box: (K, 8) float32: centre x, y, z, length, width,
-    height, yaw, gap to the road. Only ``cluster_id`` is a view into a buffer, valid until the next frame.
+    planar[:, offsets[k]:offsets[k + 1]], and behind the last row there is room for a vector. offsets: (K + 1,) int32.
+    box: (K, 8) float32: centre x, y, z, length, width, height, yaw, gap to the road. Only ``cluster_id`` is a view into
+    a buffer, valid until the next frame.
     """
 
     cluster_id: np.ndarray
@@ -59,14 +61,13 @@ class Clustering:
     def __init__(self, config: ClusteringConfig, range_max_m: float, buffers: Buffers | None = None) -> None:
         self._config = config
         self._buffers = buffers or Buffers()
-        c, g = config.cell_m, config.cell_growth_m
-        reach = range_max_m / c if g == 0 else g / c * np.log1p(range_max_m / g)
-        self.side = 2 * int(np.ceil(reach)) + 2
-        words = (self.side + 63) // 64
-        self._grid = np.zeros((self.side, words, 4), np.uint64)
-        self._touched = np.zeros((self.side, (words + 63) // 64), np.uint64)
-        self._row_start = np.zeros(self.side + 1, np.int32)
-        self._settings, self._look = _settings(config), _second_look(config)
+        cells = CellGrid(config, range_max_m)
+        side, words = cells.side, (cells.side + 63) // 64
+        self._scales = cells.scales
+        self._grid = np.zeros((side, words, 4), np.uint64)
+        self._touched = np.zeros((side, (words + 63) // 64), np.uint64)
+        self._row_start = np.zeros(side + 1, np.int32)
+        self._settings, self._look = _settings(config, cells.per_m), _second_look(config)
 
     @property
     def nbytes(self) -> int:
@@ -79,7 +80,7 @@ class Clustering:
         room = m + -m % LINE_FLOATS + LINE_FLOATS
         cluster_id = take("cluster_id", len(frame.x), np.int32)
         found = kernels.find_clusters(
-            np.ascontiguousarray(frame.points), m, frame.rest, self._settings, self._look,
+            np.ascontiguousarray(frame.points), m, frame.rest, self._settings, self._look, self._scales,
             take("cluster_ints", kernels.INTS * room, np.int32).reshape(kernels.INTS, room),
             take("cluster_floats", kernels.FLOATS * room, np.float32).reshape(kernels.FLOATS, room),
             self._grid, self._touched, self._row_start, cluster_id,
@@ -87,12 +88,13 @@ class Clustering:
         return ClusterPoints(cluster_id, *found)
 
 
-def _settings(config: ClusteringConfig) -> np.record:
+def _settings(config: ClusteringConfig, per_m: np.float32) -> np.record:
     """The settings as kernels take them: one record of ``SETTINGS``."""
     made = np.zeros(1, kernels.SETTINGS)
     for name in kernels.SETTINGS.names or ():
         if hasattr(config, name):
             made[name] = getattr(config, name)
+    made["per_m"] = per_m
     made["body_m"] = config.body_height_m or np.inf
     made["fewest"] = 1 if config.merge == "fragments" else config.min_points  # smaller components are not looked at
     made["widest"] = config.max_diagonal_m / config.cell_m  # cells only grow with range

@@ -162,25 +162,41 @@ def measure(points, offsets, box):  # type: ignore[no-untyped-def]
 
 @inner
 def possible(box, offsets, s, label):  # type: ignore[no-untyped-def]
-    """label (K,) int32: k for clusters of a possible size, -1 for others; s: settings, as in ``kernels_steps``. Returns
-    whether there are others."""
-    others = False
-    for k in range(box.shape[0]):
+    """label (K,) int32: k for clusters of a possible size, -1 for others; s: settings, as in ``kernels_steps``."""
+    for k in range(len(label)):
         n, top = offsets[k + 1] - offsets[k], box[k, 7] + box[k, 5]
         good = (s.min_points <= n) & (n <= s.max_points) & (box[k, 5] <= s.max_height_m) & (top >= s.min_top_m)
         good &= np.hypot(box[k, 3], box[k, 4]) <= s.max_diagonal_m
         label[k] = k if good else -1
-        others |= not good
-    return others
 
 
 @inner
-def write_ids(source, offsets, cluster_id):  # type: ignore[no-untyped-def]
-    """cluster_id (N,) of the frame, from the index of points that lie together by cluster."""
+def take_out(grouped, offsets, source, box, label, cluster_id):  # type: ignore[no-untyped-def]
+    """Copies of the clusters whose label (K,) is not negative: planar (3, T) of their points, with room for a vector
+    behind it, offsets, and box. cluster_id (N,) of the frame is written."""
+    count, total = 0, 0
+    for k in range(len(label)):
+        if label[k] >= 0:
+            count += 1
+            total += offsets[k + 1] - offsets[k]
+    planar = np.empty(3 * total + LANES, np.float32)[: 3 * total].reshape(3, total)
+    begins, boxes = np.zeros(count + 1, np.int32), np.empty((count, 8), np.float32)
     cluster_id[:] = -1
-    for k in range(offsets.shape[0] - 1):
-        for i in range(offsets[k], offsets[k + 1]):
-            cluster_id[np.uint32(source[i])] = k
+    number, to = 0, 0
+    for k in range(len(label)):
+        if label[k] < 0:
+            continue
+        first, last = offsets[k], offsets[k + 1]
+        for i in range(first, last):
+            cluster_id[np.uint32(source[i])] = number
+        for row in range(3):
+            for i in range(last - first):
+                planar[row, to + i] = grouped[row, first + i]
+        for column in range(8):
+            boxes[number, column] = box[k, column]
+        number, to = number + 1, to + last - first
+        begins[number] = to
+    return planar, begins, boxes
 
 
 @sum_kernel

@@ -28,7 +28,7 @@ def _find(parent, i):  # type: ignore[no-untyped-def]
 
 @inner
 def label_points(  # type: ignore[no-untyped-def]
-    points, n, body_m, cell_m, growth_m, two_points, eight, grid, touched, row_start, scratch, begin, label, across
+    points, n, body_m, scales, per_m, two_points, eight, grid, touched, row_start, scratch, begin, label, across
 ):
     """Components of n points, as runs of points of one cell: begin (n + 1,) int32, where each run begins, and label
     (n,) int32, its component, -1 = none; both have room for so many and a vector more. Returns the numbers of runs and
@@ -43,7 +43,7 @@ def label_points(  # type: ignore[no-untyped-def]
     1,) int32 and scratch (5, n + 1 or more) int32 are overwritten, scratch with room for a vector more in every row.
     """
     key, parent, first, last = scratch[0, :n], scratch[1], scratch[2], scratch[3]
-    grid_cells(points[0, :n], points[1, :n], cell_m, growth_m, grid.shape[0], key, scratch[4, :n])
+    grid_cells(points[0, :n], points[1, :n], scales, per_m, grid.shape[0], key, scratch[4, :n])
     for i in range(n):
         key[i] = cell_key(key[i], scratch[4, i], grid.shape[1], points[3, i] < body_m)
     runs = find_runs(key, begin)

@@ -168,17 +168,17 @@ def _usable(box, counts, min_count):  # type: ignore[no-untyped-def]
 def _near_pairs(box, turned, corners, usable):  # type: ignore[no-untyped-def]
     """Pairs of pieces no farther apart than the widest gap, with the gap; ``usable`` is sorted by left end."""
     pairs = np.empty((16 * len(usable) + 16, 2), np.int64)
-    gaps = np.empty(len(pairs))
+    gaps, half = np.empty(len(pairs)), np.empty(len(box))
+    for k in usable:
+        half[k] = 0.5 * np.hypot(box[k, 3], box[k, 4])
     n = 0
     for i in range(len(usable)):
         a = usable[i]
-        half_a = 0.5 * np.hypot(box[a, 3], box[a, 4])
         for j in range(i + 1, len(usable)):
             b = usable[j]
-            half_b = 0.5 * np.hypot(box[b, 3], box[b, 4])
-            if box[b, 0] - half_b > box[a, 0] + half_a + LARGE_GAP_M:
+            if box[b, 0] - half[b] > box[a, 0] + half[a] + LARGE_GAP_M:
                 break
-            if abs(box[a, 1] - box[b, 1]) > half_a + half_b + LARGE_GAP_M or n == len(pairs):
+            if abs(box[a, 1] - box[b, 1]) > half[a] + half[b] + LARGE_GAP_M or n == len(pairs):
                 continue
             tall = max(box[a, 7] + box[a, 5], box[b, 7] + box[b, 5]) > SMALL_TOP_M
             gap = _gap(box, turned, corners, a, b)

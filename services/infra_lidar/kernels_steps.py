@@ -10,7 +10,7 @@ import numpy as np
 
 from services.infra_lidar.jit import inner, kernel
 from services.infra_lidar.kernels_adopt import adopt_strays
-from services.infra_lidar.kernels_clusters import possible, regroup, write_ids
+from services.infra_lidar.kernels_clusters import possible, regroup, take_out
 from services.infra_lidar.kernels_high import lift, put_down, spread, tall_ones
 from services.infra_lidar.kernels_labels import label_points
 from services.infra_lidar.kernels_merge import merge_fragments
@@ -19,7 +19,7 @@ from services.infra_lidar.kernels_split import second_look
 
 SETTINGS = np.dtype(
     [(name, np.float32) for name in (
-        "cell_m", "cell_growth_m", "body_m", "max_height_m", "min_top_m", "max_diagonal_m",
+        "per_m", "body_m", "max_height_m", "min_top_m", "max_diagonal_m",
     )]
     + [(name, np.int64) for name in ("connectivity", "min_points", "max_points", "fewest", "widest")]
     + [(name, np.bool_) for name in ("two_points", "fragments")]
@@ -30,20 +30,23 @@ MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by: they can on
 
 
 @kernel
-def find_clusters(points, m, source, s, look, ints, floats, grid, touched, row_start, cluster_id):  # type: ignore[no-untyped-def]
+def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touched, row_start, cluster_id):  # type: ignore[no-untyped-def]
     """Clusters of m points (4, m or more) float32, x, y, z and height above the road, with index ``source`` (m,) in the
     frame.
 
-    s: a record of ``SETTINGS``; look: one of ``LOOK`` for the article's second look, else None. ints (INTS, m + 1 or
-    more) int32 and floats (FLOATS, m or more) float32 are scratch, with room for a vector more; grid, touched and
-    row_start as in ``kernels_labels``. cluster_id (N,) int32 is written.
-    Returns copies: planar (3, T) float32 of the points by cluster, offsets (K + 1,) int32, box (K, 8) float32.
+    s: a record of ``SETTINGS``; look: one of ``LOOK`` for the article's second look, else None. scales: of a
+    ``CellGrid``. ints (INTS, m + 1 or more) int32 and floats (FLOATS, m or more) float32 are scratch, with room for a
+    vector more; grid, touched and row_start as in ``kernels_labels``. cluster_id (N,) int32 is written.
+    Returns copies: planar (3, T) float32 of the points by cluster, with room for a vector behind it, offsets (K + 1,)
+    int32, box (K, 8) float32.
     """
     # Components of cells that are occupied as low as a body; what is higher joins tall ones, or is on its own
     begin, label, across = ints[0], ints[1], ints[2]
-    runs, components = _components(points, m, s.body_m, s, ints[4:9], grid, touched, row_start, begin, label, across)
+    runs, components = _components(
+        points, m, s.body_m, s, scales, ints[4:9], grid, touched, row_start, begin, label, across
+    )  # fmt: skip
     if s.body_m < np.inf:
-        runs, components = _label_high(points, m, s, runs, components, ints, floats, grid, touched, row_start)
+        runs, components = _label_high(points, m, s, scales, runs, components, ints, floats, grid, touched, row_start)
 
     # What may be a cluster or a part of one, as copies that lie together
     scratch, room = ints[3:5], floats.shape[1]
@@ -71,33 +74,31 @@ def find_clusters(points, m, source, s, look, ints, floats, grid, touched, row_s
         second = (ints[9], ints[10])
 
     # Only what is of a possible size; and the article's second look
-    begins, label, labels = offsets, ints[5][:count], count
-    change = possible(box[:count], offsets, s, label)
+    label = ints[5][:count]
+    possible(box[:count], offsets, s, label)
     if look is not None:
         of_points = ints[4][:total]
         labels = second_look(grouped, offsets, box[:count], label, look, sets[1].reshape(4, room), of_points)
-        runs, change, box = _runs(of_points, begin, ints[1]), True, np.empty((labels, 8), np.float32)
-        begins, label = begin[: runs + 1], ints[1][:runs]
-    if change:
+        runs, box = _runs(of_points, begin, ints[1]), np.empty((labels, 8), np.float32)
         count, total = regroup(
-            begins, label, labels, all_of_them, total, across[:0], anywhere, grouped, index, scratch, second[0],
-            sets[1], second[1], box,
+            begin[: runs + 1], ints[1][:runs], labels, all_of_them, total, across[:0], anywhere, grouped, index,
+            scratch, second[0], sets[1], second[1], box,
         )  # fmt: skip
         grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
-    write_ids(index, offsets, cluster_id)
-    return grouped[:3].copy(), offsets.copy(), box[:count].copy()
+        label = np.zeros(count, np.int32)  # all of them
+    return take_out(grouped, offsets, index, box, label, cluster_id)
 
 
 @inner
-def _components(points, n, body_m, s, scratch, grid, touched, row_start, begin, label, across):  # type: ignore[no-untyped-def]
+def _components(points, n, body_m, s, scales, scratch, grid, touched, row_start, begin, label, across):  # type: ignore[no-untyped-def]
     return label_points(
-        points, n, body_m, s.cell_m, s.cell_growth_m, s.two_points, s.connectivity == 8, grid, touched, row_start,
+        points, n, body_m, scales, s.per_m, s.two_points, s.connectivity == 8, grid, touched, row_start,
         scratch, begin, label, across,
     )  # fmt: skip
 
 
 @inner
-def _label_high(points, m, s, runs, components, ints, floats, grid, touched, row_start):  # type: ignore[no-untyped-def]
+def _label_high(points, m, s, scales, runs, components, ints, floats, grid, touched, row_start):  # type: ignore[no-untyped-def]
     """Give high points to tall components, and label those that join nothing: a roof behind other cars, or a canopy.
 
     Runs, labels and extents in ints[:3] are written anew. Returns the numbers of runs and components.
@@ -108,8 +109,9 @@ def _label_high(points, m, s, runs, components, ints, floats, grid, touched, row
     number = lift(points, of_points[:m], s.body_m, tall, high, ints[10])
     if number > 0:
         runs, found = _components(
-            high, number, np.float32(np.inf), s, ints[4:9], grid, touched, row_start, begin, label, across[components:]
-        )
+            high, number, np.float32(np.inf), s, scales, ints[4:9], grid, touched, row_start, begin, label,
+            across[components:],
+        )  # fmt: skip
         spread(begin[: runs + 1], label[:runs], ints[11])
         put_down(ints[11], np.int32(components), ints[10, :number], of_points)
         components += found

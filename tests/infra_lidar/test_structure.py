@@ -1,11 +1,14 @@
 """Clusters within fixed structure are told from those beside it."""
 
 import numpy as np
+import pytest
 
-from services.infra_lidar.clustering import Clustering
+from services.infra_lidar.cells import CellGrid
+from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.ground import Levelled
-from services.infra_lidar.structure import StructureMap
+from services.infra_lidar.structure import MIN_SHARE, StructureMap
+from services.infra_lidar.vectors import LANES
 
 CONFIG = ClusteringConfig()
 
@@ -59,3 +62,38 @@ def test_what_was_a_road_user_is_not_drawn():
 def test_no_clusters():
     found = Clustering(CONFIG, 100.0).cluster(_frame(np.zeros((0, 3))))
     assert StructureMap(CONFIG, 100.0).inside(_drawn(), found, np.zeros(0, np.float32)).shape == (0,)
+
+
+@pytest.mark.parametrize("growth_m", [0.0, 30.0])
+def test_a_cluster_is_within_if_enough_of_its_points_are_on_marked_cells(growth_m):
+    rng = np.random.default_rng(4)
+    config = ClusteringConfig(cell_growth_m=growth_m)
+    grid, body_m = CellGrid(config, 100.0), np.float32(config.body_height_m)
+    marked = rng.random((2, grid.side, grid.side)) < MIN_SHARE
+    words = -(-grid.side // 32)
+    drawn = np.zeros((2, grid.side, words), np.int32)
+    for layer, row, column in zip(*np.nonzero(marked), strict=True):
+        drawn[layer, row, column // 32] |= np.int32(np.uint32(1 << column % 32).view(np.int32))
+    counts = rng.integers(1, 80, 300)
+    offsets = np.append(0, np.cumsum(counts)).astype(np.int32)
+    planar = np.empty(3 * offsets[-1] + LANES, np.float32)[: 3 * offsets[-1]].reshape(3, offsets[-1])
+    planar[:] = rng.uniform([[-140], [-140], [0]], [[140], [140], [4]], planar.shape)  # some beyond the grid
+    road_z_m = rng.uniform(-1, 1, len(counts)).astype(np.float32)
+
+    x, y, z = planar
+    row, column = grid.cells(x, y)
+    layer = (z >= np.repeat(road_z_m + body_m, counts)).astype(int)
+    hits = np.add.reduceat(marked[layer, row, column], offsets[:-1])
+    found = ClusterPoints(np.empty(0, np.int32), planar, offsets, np.empty((len(counts), 8), np.float32))
+    within = StructureMap(config, 100.0).inside(drawn, found, road_z_m)
+    clear = np.abs(hits - MIN_SHARE * counts) > 1.0  # a point on the edge of a cell may go either way
+    assert 0.2 < within[clear].mean() < 0.8
+    np.testing.assert_array_equal(within[clear], (hits >= MIN_SHARE * counts)[clear])
+
+
+def test_a_map_of_other_cells_is_not_taken():
+    drawn = _drawn()
+    assert StructureMap(CONFIG, 100.0).drawn_by_this(drawn)
+    assert StructureMap(CONFIG, 100.0).drawn_by_this(drawn[:, :0])
+    assert not StructureMap(CONFIG, 60.0).drawn_by_this(drawn)
+    assert not StructureMap(CONFIG, 100.0).drawn_by_this(drawn.astype(bool))
