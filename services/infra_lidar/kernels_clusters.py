@@ -186,15 +186,18 @@ def take_out(grouped, offsets, source, box, label, cluster_id):  # type: ignore[
     for k in range(len(label)):
         if label[k] < 0:
             continue
-        first, last = offsets[k], offsets[k + 1]
-        for i in range(first, last):
+        first, n = offsets[k], offsets[k + 1] - offsets[k]
+        for i in range(first, first + n):
             cluster_id[np.uint32(source[i])] = number
         for row in range(3):
-            for i in range(last - first):
-                planar[row, to + i] = grouped[row, first + i]
+            if n < LANES:
+                for i in range(np.uint64(n)):
+                    planar[row, np.uint64(to) + i] = grouped[row, np.uint64(first) + i]
+            else:
+                _copy(grouped[row], first, n, planar[row], to)
         for column in range(8):
             boxes[number, column] = box[k, column]
-        number, to = number + 1, to + last - first
+        number, to = number + 1, to + n
         begins[number] = to
     return planar, begins, boxes
 
