@@ -77,10 +77,13 @@ def sloped_surface(height, s, surface, accepted):  # type: ignore[no-untyped-def
 def _tangent_planes(filled, trust, ring_m, surface):  # type: ignore[no-untyped-def]
     """Plane through each cell's height with the slope of its 3 x 3 neighbourhood, weighted by trust."""
     rings, sectors = filled.shape
+    cosine, sine = np.empty(sectors), np.empty(sectors)
+    for s in range(sectors):
+        angle = (s + 0.5) * 2.0 * np.pi / sectors - np.pi
+        cosine[s], sine[s] = np.cos(angle), np.sin(angle)
     for r in range(rings):
         for s in range(sectors):
-            angle = (s + 0.5) * 2.0 * np.pi / sectors - np.pi
-            cx, cy = (r + 0.5) * ring_m * np.cos(angle), (r + 0.5) * ring_m * np.sin(angle)
+            cx, cy = (r + 0.5) * ring_m * cosine[s], (r + 0.5) * ring_m * sine[s]
             sxx, sxy, syy, sxz, syz = 1e-3, 0.0, 1e-3, 0.0, 0.0
             for dr in range(-1, 2):
                 n = r + dr
@@ -88,9 +91,8 @@ def _tangent_planes(filled, trust, ring_m, surface):  # type: ignore[no-untyped-
                     continue
                 for ds in range(-1, 2):
                     m = (s + ds) % sectors
-                    a = (m + 0.5) * 2.0 * np.pi / sectors - np.pi
-                    x = (n + 0.5) * ring_m * np.cos(a) - cx
-                    y = (n + 0.5) * ring_m * np.sin(a) - cy
+                    x = (n + 0.5) * ring_m * cosine[m] - cx
+                    y = (n + 0.5) * ring_m * sine[m] - cy
                     z = filled[n, m] - filled[r, s]
                     w = trust[n, m] + 1e-3
                     sxx += w * x * x
@@ -101,7 +103,7 @@ def _tangent_planes(filled, trust, ring_m, surface):  # type: ignore[no-untyped-
             det = sxx * syy - sxy * sxy
             gx, gy = (sxz * syy - syz * sxy) / det, (syz * sxx - sxz * sxy) / det
             # a low percentile is the height of the cell's lower end: put the plane through its middle
-            along = abs(gx * np.cos(angle) + gy * np.sin(angle)) * ring_m * 0.45
+            along = abs(gx * cosine[s] + gy * sine[s]) * ring_m * 0.45
             surface[r, s, 0] = filled[r, s] + along - gx * cx - gy * cy
             surface[r, s, 1] = gx
             surface[r, s, 2] = gy
