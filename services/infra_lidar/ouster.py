@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from services.infra_lidar.jit import kernel
-from services.infra_lidar.revolutions import PacketTurn, Revolution, TurnCollector
+from services.infra_lidar.revolutions import PacketDecoder, Revolution, TurnCollector
 
 
 class MetadataError(ValueError):
@@ -109,7 +110,7 @@ class OusterParser:
         self._format = layout
         self._frame_id: int | None = None
         self._next_packet: int | None = None
-        self.turns = TurnCollector()
+        self.turns = TurnCollector(decoder(layout))
         self.rejected = 0
 
     def feed(self, packet: bytes, stamp_ns: int) -> Revolution | None:
@@ -133,18 +134,21 @@ class OusterParser:
         degrees = 360.0 / packets
         self._frame_id, self._next_packet = frame_id, (index + 1) % packets
         self.turns.add(packet, index * degrees, (index + 1) * degrees - 1e-6, stamp_ns, lost)
-        return None if ended is None else decode_turn(ended, layout)
+        return ended
 
     def flush(self) -> Revolution | None:
         """What has been collected since the last revolution: the end of a recording."""
-        ended = self.turns.finish()
-        return None if ended is None else decode_turn(ended, self._format)
+        return self.turns.finish()
 
 
-def decode_turn(turn: PacketTurn, layout: OusterFormat) -> Revolution:
-    """(N, 5) points of the valid columns of one revolution; returns of range 0 are left out."""
+def decoder(layout: OusterFormat) -> PacketDecoder:
+    """For the packets of a sensor with this layout."""
+    return PacketDecoder(layout.columns_per_packet * layout.beams, partial(_decode_packets, layout), layout.metadata)
+
+
+def _decode_packets(layout: OusterFormat, raw: np.ndarray, points: np.ndarray) -> int:
+    """(P, B) uint8 packets into points, those of the valid columns; returns of range 0 are left out."""
     p = layout.profile
-    raw = np.frombuffer(b"".join(turn.packets), np.uint8).reshape(len(turn.packets), -1)
     body = raw[:, p.packet_header : p.packet_header + layout.columns_per_packet * layout.column_bytes]
     columns = body.reshape(-1, layout.column_bytes)
     measurement = columns[:, 8:10].copy().view("<u2")[:, 0]
@@ -161,9 +165,7 @@ def decode_turn(turn: PacketTurn, layout: OusterFormat) -> Revolution:
     at = p.reflectivity_at
     size = np.dtype(p.reflectivity_type).itemsize
     reflectivity = pixels[..., at : at + size].copy().view(p.reflectivity_type)[..., 0].astype(np.uint16)
-    points = np.empty((range_mm.size, 5), np.float32)
-    count = _project(range_mm, reflectivity, measurement, layout.direction, layout.origin_m, points)
-    return Revolution(points[:count], turn.stamp_ns, turn.quality, turn.packets, layout.metadata)
+    return int(_project(range_mm, reflectivity, measurement, layout.direction, layout.origin_m, points))
 
 
 @kernel

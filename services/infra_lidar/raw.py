@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
 from typing import Any
@@ -19,9 +19,7 @@ from common.topics import INFRA_RAW
 from services.infra_lidar import ouster, velodyne
 from services.infra_lidar.blindness import FrameQuality
 from services.infra_lidar.packet_source import Frame
-from services.infra_lidar.revolutions import PacketTurn, Revolution
-
-Decode = Callable[[PacketTurn], Revolution]
+from services.infra_lidar.revolutions import PacketDecoder, decode_turn
 
 
 def hand_over(raw: RawTap, stamp_ns: int, frame: Frame) -> None:
@@ -40,25 +38,25 @@ def recorded_frames(url: SourceUrl) -> Iterator[tuple[int, Frame]]:
     Raises:
         ConfigError: no recording, one without raw bytes of this sensor, or of a kind that is not known.
     """
-    decode: Decode | None = None
+    decoder: PacketDecoder | None = None
     for piece in replayed(url, INFRA_RAW):
         try:
             quality = msgspec.convert(piece.about.get("quality", {}), FrameQuality)
             if piece.kind == "points":
                 yield piece.stamp_ns, Frame(piece.data, piece.received_ns, quality)
                 continue
-            decode = decode or _decoder(piece)
+            decoder = decoder or _decoder(piece)
             packets = [packet.tobytes() for packet in piece.data]
-            points = decode(PacketTurn(packets, piece.stamp_ns, quality)).points
+            points = decode_turn(packets, decoder)
         except (msgspec.ValidationError, ouster.MetadataError) as error:
             raise ConfigError(f"source {url}: {error}") from None
         yield piece.stamp_ns, Frame(points, piece.received_ns, quality, packets, str(piece.about.get("metadata", "")))
 
 
-def _decoder(piece: RawBytes) -> Decode:
+def _decoder(piece: RawBytes) -> PacketDecoder:
     if piece.kind == "velodyne":
-        return velodyne.decode_turn
-    return partial(ouster.decode_turn, layout=ouster.OusterFormat(str(piece.about.get("metadata", ""))))
+        return velodyne.DECODER
+    return ouster.decoder(ouster.OusterFormat(str(piece.about.get("metadata", ""))))
 
 
 def _joined(packets: list[bytes]) -> np.ndarray:

@@ -1,7 +1,11 @@
-"""Packets to revolutions: packets are collected until the head passes the cut; losses and gaps are counted."""
+"""Packets to revolutions: packets are collected until the head passes the cut; losses and gaps are counted.
+
+A turn is decoded while it comes, some packets at a time: when its last packet is there, little is left to do.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,6 +13,7 @@ import numpy as np
 from services.infra_lidar.blindness import FrameQuality
 
 FULL_TURN_SHARE = 0.97
+TOGETHER = 64  # packets, a tenth of a turn
 
 
 @dataclass(frozen=True)
@@ -26,18 +31,58 @@ class Revolution:
 
 
 @dataclass(frozen=True)
-class PacketTurn:
-    """The packets of one revolution, in order, before they are decoded."""
+class PacketDecoder:
+    """How packets of a sensor become points.
 
-    packets: list[bytes]
-    stamp_ns: int
-    quality: FrameQuality
+    decode: (P, B) uint8, packets of one turn, into (P * points_per_packet, 5) float32, x y z (m, sensor frame)
+    intensity ring; returns how many points they hold. metadata: what one needs to decode them again (Ouster).
+    """
+
+    points_per_packet: int
+    decode: Callable[[np.ndarray, np.ndarray], int]
+    metadata: str = ""
+
+
+class TurnPoints:
+    """The points of the turn that is coming."""
+
+    def __init__(self, decoder: PacketDecoder, packets: int = 0) -> None:
+        self._decoder = decoder
+        self._points, self._filled = np.empty((0, 5), np.float32), 0
+        self._usual = packets * decoder.points_per_packet  # room for a turn
+
+    def add(self, packets: list[bytes]) -> None:
+        """The next packets, all of one size."""
+        raw = np.frombuffer(b"".join(packets), np.uint8).reshape(len(packets), -1)
+        needed = self._filled + len(packets) * self._decoder.points_per_packet
+        if needed > len(self._points):
+            larger = np.empty((max(needed, self._usual), 5), np.float32)
+            larger[: self._filled] = self._points[: self._filled]
+            self._points = larger
+        self._filled += self._decoder.decode(raw, self._points[self._filled :])
+        self._usual = max(self._usual, needed)
+
+    def take(self) -> np.ndarray:
+        """(N, 5) float32: all of them; the next turn begins."""
+        points = self._points[: self._filled]
+        self._points, self._filled = np.empty((0, 5), np.float32), 0
+        return points
+
+
+def decode_turn(packets: list[bytes], decoder: PacketDecoder) -> np.ndarray:
+    """The points of a whole turn, (N, 5) float32, the same as if its packets came one by one."""
+    points = TurnPoints(decoder, len(packets))
+    for first in range(0, len(packets), TOGETHER):
+        points.add(packets[first : first + TOGETHER])
+    return points.take()
 
 
 class TurnCollector:
     """Collects packets. ``incomplete`` counts turns that leave part of the circle out."""
 
-    def __init__(self) -> None:
+    def __init__(self, decoder: PacketDecoder) -> None:
+        self._metadata = decoder.metadata
+        self._points = TurnPoints(decoder)
         self._packets: list[bytes] = []
         self._covered = np.zeros(360, bool)
         self._lost = 0
@@ -49,6 +94,8 @@ class TurnCollector:
     def add(self, packet: bytes, first_deg: float, last_deg: float, stamp_ns: int, lost: int) -> None:
         """One packet that saw the directions from ``first_deg`` to ``last_deg``, with ``lost`` missing before it."""
         self._packets.append(packet)
+        if len(self._packets) % TOGETHER == 0:
+            self._points.add(self._packets[-TOGETHER:])
         first, last = int(first_deg), int(last_deg)
         if first <= last:
             self._covered[first : last + 1] = True
@@ -56,12 +103,16 @@ class TurnCollector:
         self.lost += lost
         self._stamp_ns = stamp_ns
 
-    def finish(self) -> PacketTurn | None:
+    def finish(self) -> Revolution | None:
         """The turn that ends here, None if nothing has come yet."""
         if not self._packets:
             return None
+        left = len(self._packets) % TOGETHER
+        if left:
+            self._points.add(self._packets[-left:])
         complete = bool(self._covered.mean() >= FULL_TURN_SHARE)
-        turn = PacketTurn(self._packets, self._stamp_ns, FrameQuality(len(self._packets), self._lost, complete))
+        quality = FrameQuality(len(self._packets), self._lost, complete)
+        turn = Revolution(self._points.take(), self._stamp_ns, quality, self._packets, self._metadata)
         self.turns += 1
         self.incomplete += not complete
         self._packets, self._lost = [], 0

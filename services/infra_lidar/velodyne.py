@@ -8,10 +8,12 @@ time, 2.665 us apart, with a pause after each 64; the head turns on meanwhile.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from services.infra_lidar.jit import kernel
-from services.infra_lidar.revolutions import PacketTurn, Revolution, TurnCollector
+from services.infra_lidar.revolutions import PacketDecoder, Revolution, TurnCollector
 
 PACKET_BYTES = 1206
 PRODUCT_VLS128 = 0xA1
@@ -59,7 +61,7 @@ class Vls128Parser:
         self._cut_deg = cut_deg
         self._last_us: int | None = None
         self._last_turn_deg = -1.0
-        self.turns = TurnCollector()
+        self.turns = TurnCollector(DECODER)
         self.rejected = 0
 
     def feed(self, packet: bytes, stamp_ns: int) -> Revolution | None:
@@ -76,7 +78,7 @@ class Vls128Parser:
         ended = self.turns.finish() if turn_deg < self._last_turn_deg - 180.0 else None
         self._last_turn_deg = turn_deg
         self.turns.add(packet, turn_deg, end_deg, stamp_ns, lost)
-        return None if ended is None else decode_turn(ended)
+        return ended
 
     def _count_lost(self, packet: bytes) -> int:
         """Packets missing before this one, from the sensor's own clock."""
@@ -87,23 +89,28 @@ class Vls128Parser:
         return max(0, round(gap_us / (firings * CYCLE_US)) - 1) if gap_us < 1_000_000 else 0
 
 
-def decode_turn(turn: PacketTurn) -> Revolution:
-    """Points of one revolution; the head's rate is taken from the turn itself."""
-    raw = np.frombuffer(b"".join(turn.packets), np.uint8).reshape(-1, PACKET_BYTES)
-    rate = _head_rate_deg_per_s(raw)
-    turned = np.radians(rate * _DELAY_S - _OFFSET_DEG)
-    lasers = np.stack(
+def _decode_packets(raw: np.ndarray, points: np.ndarray) -> int:
+    """(P, 1206) uint8 packets of one turn into points (384 P, 5); the head's rate is taken from the packets."""
+    return int(_decode(raw, _lasers(_head_rate_deg_per_s(raw)), _COS_SIN, points))
+
+
+DECODER = PacketDecoder(384, _decode_packets)
+
+
+@lru_cache(maxsize=64)
+def _lasers(rate_deg_per_s: float) -> np.ndarray:
+    """(6, 128) float32: of each laser, cosine and sine of what it has turned since its block began, those of its
+    elevation, lift, and ring. Azimuths come in hundredths of a degree, so only few rates do."""
+    turned = np.radians(rate_deg_per_s * _DELAY_S - _OFFSET_DEG)
+    return np.stack(
         [np.cos(turned), np.sin(turned), np.cos(_ELEVATION), np.sin(_ELEVATION), FOCUS_M * np.tan(_ELEVATION), RING]
     ).astype(np.float32)
-    points = np.empty((len(raw) * 384, 5), np.float32)
-    count = _decode(raw, lasers, _COS_SIN, points)
-    return Revolution(points[:count], turn.stamp_ns, turn.quality, turn.packets)
 
 
 def _head_rate_deg_per_s(raw: np.ndarray) -> float:
     """Median over packets of the turn from the first to the last block."""
-    azimuth = raw[:, [2, 3, 1102, 1103]].astype(np.int64)
-    turned = (azimuth[:, 2] + 256 * azimuth[:, 3] - azimuth[:, 0] - 256 * azimuth[:, 1]) % 36000
+    first, last = (raw[:, at : at + 2].copy().view("<u2")[:, 0].astype(np.int64) for at in (2, 1102))
+    turned = (last - first) % 36000
     firings = np.where(raw[:, MODE_AT] == DUAL_RETURN, 1.0, 2.0)
     return float(np.median(turned / 100.0 / firings)) / (CYCLE_US * 1e-6)
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from services.infra_lidar.captures import CaptureError, read_pcap, read_velodyne_scan
 from services.infra_lidar.ouster import MetadataError, OusterFormat, OusterParser
-from services.infra_lidar.velodyne import PACKET_BYTES, RING, Vls128Parser
+from services.infra_lidar.revolutions import TOGETHER, TurnPoints, decode_turn
+from services.infra_lidar.velodyne import DECODER, PACKET_BYTES, RING, Vls128Parser
 
 
 def _vls_packet(azimuth_deg, steps=2500, time_us=0, mode=0x37, product=0xA1, flags=(0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF)):
@@ -46,6 +47,37 @@ def test_a_vls128_turn_in_numbers():
     assert RING[59] == 127
     # laser 0 looks 6.354 degrees to one side of the head, which turns clockwise from x
     assert np.degrees(np.arctan2(-first[0, 1], first[0, 0])) == pytest.approx(6.354, abs=0.01)
+
+
+def _walls(turns):
+    """Packets of some turns with a wall somewhere else in each packet."""
+    rng = np.random.default_rng(5)
+    return [
+        _vls_packet((0.6 * k) % 360, steps=int(rng.integers(200, 9000)), time_us=166 * k) for k in range(turns * 600)
+    ]
+
+
+def test_a_turn_that_is_decoded_while_it_comes_is_the_same_as_at_once():
+    parser = Vls128Parser()
+    turns = [turn for k, packet in enumerate(_walls(3)) if (turn := parser.feed(packet, k)) is not None]
+    kept = [turn.points.copy() for turn in turns]
+    assert len(turns) == 2
+    for turn, points in zip(turns, kept, strict=True):
+        np.testing.assert_array_equal(turn.points, points)  # what comes later goes elsewhere
+        np.testing.assert_array_equal(turn.points, decode_turn(turn.packets, DECODER))
+    assert not np.array_equal(kept[0], kept[1])
+
+
+def test_a_turn_is_the_sum_of_its_parts_however_many_they_are():
+    packets = _walls(1)
+    points = TurnPoints(DECODER)
+    for part in (packets[:1], packets[1:200], packets[200:], packets):
+        points.add(part)
+    whole = points.take()
+    assert len(whole) == 2 * 600 * 384
+    np.testing.assert_allclose(whole[: 600 * 384], whole[600 * 384 :], atol=1e-4)
+    assert len(points.take()) == 0
+    assert len(decode_turn(packets[: TOGETHER + 1], DECODER)) == (TOGETHER + 1) * 384
 
 
 def test_lost_packets_and_partial_turns_are_counted():
