@@ -8,12 +8,14 @@ from __future__ import annotations
 from common.sim import lidar128
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.pipeline import InfraLidarPipeline
-from services.infra_lidar.warm_up import warm_up
+from services.infra_lidar.warm_up import PACKET_KERNELS, warm_up
 
 
 def main() -> None:
     config = InfraLidarConfig()
     warm_up(config, lambda _: None)
+    for decode_nothing in PACKET_KERNELS.values():
+        decode_nothing()
     pipeline = InfraLidarPipeline(config)
     for tenth in range(3):
         pipeline.process(tenth * 100_000_000, lidar128.scan("crossing", tenth / 10).xyz)

@@ -146,6 +146,12 @@ def decoder(layout: OusterFormat) -> PacketDecoder:
     return PacketDecoder(layout.columns_per_packet * layout.beams, partial(_decode_packets, layout), layout.metadata)
 
 
+def decode_nothing() -> None:
+    """Compile or load what decodes, before the first packet comes."""
+    rays, points = np.zeros((1, 1, 3), np.float32), np.empty((1, 5), np.float32)
+    _project(np.zeros((1, 1), np.uint32), np.zeros((1, 1), np.uint16), np.zeros(1, np.uint16), rays, rays, points)
+
+
 def _decode_packets(layout: OusterFormat, raw: np.ndarray, points: np.ndarray) -> int:
     """(P, B) uint8 packets into points, those of the valid columns; returns of range 0 are left out."""
     p = layout.profile

@@ -13,7 +13,8 @@ from functools import lru_cache
 import numpy as np
 
 from services.infra_lidar.jit import kernel
-from services.infra_lidar.revolutions import PacketDecoder, Revolution, TurnCollector
+from services.infra_lidar.ordering import sort_rising
+from services.infra_lidar.revolutions import PacketDecoder, Revolution, TurnCollector, TurnPoints
 
 PACKET_BYTES = 1206
 PRODUCT_VLS128 = 0xA1
@@ -97,6 +98,11 @@ def _decode_packets(raw: np.ndarray, points: np.ndarray) -> int:
 DECODER = PacketDecoder(384, _decode_packets)
 
 
+def decode_nothing() -> None:
+    """Compile or load what decodes, before the first packet comes."""
+    TurnPoints(DECODER).add([bytes(PACKET_BYTES)])
+
+
 @lru_cache(maxsize=64)
 def _lasers(rate_deg_per_s: float) -> np.ndarray:
     """(6, 128) float32: of each laser, cosine and sine of what it has turned since its block began, those of its
@@ -107,12 +113,16 @@ def _lasers(rate_deg_per_s: float) -> np.ndarray:
     ).astype(np.float32)
 
 
-def _head_rate_deg_per_s(raw: np.ndarray) -> float:
-    """Median over packets of the turn from the first to the last block."""
-    first, last = (raw[:, at : at + 2].copy().view("<u2")[:, 0].astype(np.int64) for at in (2, 1102))
-    turned = (last - first) % 36000
-    firings = np.where(raw[:, MODE_AT] == DUAL_RETURN, 1.0, 2.0)
-    return float(np.median(turned / 100.0 / firings)) / (CYCLE_US * 1e-6)
+@kernel
+def _head_rate_deg_per_s(raw):  # type: ignore[no-untyped-def]
+    """Median over packets (P, 1206) uint8 of the turn from the first to the last block."""
+    turned = np.empty(len(raw))
+    for p in range(len(raw)):
+        first, last = raw[p, 2] + 256 * raw[p, 3], raw[p, 1102] + 256 * raw[p, 1103]
+        turned[p] = (last - first) % 36000 * (1.0 if raw[p, MODE_AT] == DUAL_RETURN else 0.5)
+    sort_rising(turned)
+    middle = 0.5 * (turned[(len(turned) - 1) // 2] + turned[len(turned) // 2])
+    return middle / (100.0 * CYCLE_US * 1e-6)
 
 
 @kernel

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from services.infra_lidar import ouster, velodyne
 from services.infra_lidar.captures import CaptureError, read_pcap, read_velodyne_scan
 from services.infra_lidar.ouster import MetadataError, OusterFormat, OusterParser
 from services.infra_lidar.revolutions import TOGETHER, TurnPoints, decode_turn
@@ -78,6 +79,17 @@ def test_a_turn_is_the_sum_of_its_parts_however_many_they_are():
     np.testing.assert_allclose(whole[: 600 * 384], whole[600 * 384 :], atol=1e-4)
     assert len(points.take()) == 0
     assert len(decode_turn(packets[: TOGETHER + 1], DECODER)) == (TOGETHER + 1) * 384
+
+
+def test_the_first_packet_waits_for_no_compiler():
+    velodyne.decode_nothing()
+    _turn(Vls128Parser())
+    ouster.decode_nothing()
+    for profile in ("LEGACY", "RNG19_RFL8_SIG16_NIR16", "RNG15_RFL8_NIR8"):
+        layout = OusterFormat(_metadata(profile))
+        decode_turn([_ouster_packet(layout, 7, 0)], ouster.decoder(layout))
+    for kernel in (velodyne._decode, velodyne._head_rate_deg_per_s, ouster._project):
+        assert len(kernel.signatures) == 1
 
 
 def test_lost_packets_and_partial_turns_are_counted():
