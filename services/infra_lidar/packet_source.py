@@ -9,6 +9,7 @@ import logging
 import queue
 import socket
 import sqlite3
+import struct
 import threading
 import urllib.error
 import urllib.request
@@ -184,7 +185,8 @@ class Receiver:
         self._stop = threading.Event()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
-        self._socket.settimeout(0.2)
+        timeout = struct.pack("@ll", 0, 200_000)  # the kernel's: Python's asks it twice for every packet
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, timeout)
         try:
             self._socket.bind((host, port))
         except OSError as error:
@@ -212,8 +214,8 @@ class Receiver:
         while not self._stop.is_set():
             try:
                 length = self._socket.recv_into(buffer)
-            except TimeoutError:
-                continue
+            except BlockingIOError:
+                continue  # nothing came in time
             except OSError:
                 return  # closed
             revolution = self._parser.feed(bytes(memoryview(buffer)[:length]), utc_ns())

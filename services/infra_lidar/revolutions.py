@@ -84,7 +84,7 @@ class TurnCollector:
         self._metadata = decoder.metadata
         self._points = TurnPoints(decoder)
         self._packets: list[bytes] = []
-        self._covered = np.zeros(360, bool)
+        self._covered = 0  # a bit a degree
         self._lost = 0
         self._stamp_ns = 0
         self.turns = 0
@@ -98,7 +98,7 @@ class TurnCollector:
             self._points.add(self._packets[-TOGETHER:])
         first, last = int(first_deg), int(last_deg)
         if first <= last:
-            self._covered[first : last + 1] = True
+            self._covered |= (2 << last) - (1 << first)
         self._lost += lost
         self.lost += lost
         self._stamp_ns = stamp_ns
@@ -110,11 +110,10 @@ class TurnCollector:
         left = len(self._packets) % TOGETHER
         if left:
             self._points.add(self._packets[-left:])
-        complete = bool(self._covered.mean() >= FULL_TURN_SHARE)
+        complete = self._covered.bit_count() >= FULL_TURN_SHARE * 360
         quality = FrameQuality(len(self._packets), self._lost, complete)
         turn = Revolution(self._points.take(), self._stamp_ns, quality, self._packets, self._metadata)
         self.turns += 1
         self.incomplete += not complete
-        self._packets, self._lost = [], 0
-        self._covered[:] = False
+        self._packets, self._lost, self._covered = [], 0, 0
         return turn

@@ -9,6 +9,7 @@ time, 2.665 us apart, with a pause after each 64; the head turns on meanwhile.
 from __future__ import annotations
 
 from functools import lru_cache
+from struct import Struct
 
 import numpy as np
 
@@ -21,7 +22,8 @@ PRODUCT_VLS128 = 0xA1
 DUAL_RETURN = 0x39
 DISTANCE_STEP_M = 0.004
 CYCLE_US, GROUP_S = 55.3, 2.665e-6  # a firing sequence of all 128 lasers, and of eight of them
-MODE_AT, PRODUCT_AT = 1204, 1205
+MODE_AT = 1204
+_HEAD = Struct("<2xH1098xH96xIBB")  # azimuths of the first and the last block, time, mode, product
 FOCUS_M = 0.0586  # the beams meet this far in front of the axis
 HOUR_US = 3_600_000_000
 
@@ -67,26 +69,25 @@ class Vls128Parser:
 
     def feed(self, packet: bytes, stamp_ns: int) -> Revolution | None:
         """One packet and the UTC ns at which it came; the revolution that ended before it, if one did."""
-        if len(packet) != PACKET_BYTES or packet[PRODUCT_AT] != PRODUCT_VLS128:
+        if len(packet) != PACKET_BYTES:
             self.rejected += 1
             return None
-        first, last = (int.from_bytes(packet[at : at + 2], "little") for at in (2, 1102))
-        if first >= 36000 or last >= 36000:
+        first, last, time_us, mode, product = _HEAD.unpack(packet)
+        if product != PRODUCT_VLS128 or first >= 36000 or last >= 36000:
             self.rejected += 1
             return None
-        lost = self._count_lost(packet)
-        turn_deg, end_deg = ((a / 100.0 - self._cut_deg) % 360.0 for a in (first, last))
+        lost = self._count_lost(time_us, mode)
+        turn_deg, end_deg = (first / 100.0 - self._cut_deg) % 360.0, (last / 100.0 - self._cut_deg) % 360.0
         ended = self.turns.finish() if turn_deg < self._last_turn_deg - 180.0 else None
         self._last_turn_deg = turn_deg
         self.turns.add(packet, turn_deg, end_deg, stamp_ns, lost)
         return ended
 
-    def _count_lost(self, packet: bytes) -> int:
+    def _count_lost(self, time_us: int, mode: int) -> int:
         """Packets missing before this one, from the sensor's own clock."""
-        time_us = int.from_bytes(packet[1200:1204], "little")
         gap_us = 0 if self._last_us is None else (time_us - self._last_us) % HOUR_US
         self._last_us = time_us
-        firings = 1.5 if packet[MODE_AT] == DUAL_RETURN else 3.0
+        firings = 1.5 if mode == DUAL_RETURN else 3.0
         return max(0, round(gap_us / (firings * CYCLE_US)) - 1) if gap_us < 1_000_000 else 0
 
 
