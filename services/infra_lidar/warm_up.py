@@ -188,7 +188,7 @@ PARTS: dict[str, Callable[[InfraLidarConfig], None]] = {
     "features": compile_features,
     "packets": compile_packets,
 }
-SECONDS = {"clusters": 8.0, "tracks": 6.5, "scene": 5.0, "features": 3.0, "packets": 0.5}
+SECONDS = {"clusters": 8.0, "tracks": 6.5, "scene": 5.0, "features": 3.5, "packets": 0.5}
 IMPORTS_S = 1.0  # before another process can begin
 
 
