@@ -38,9 +38,10 @@ def label_points(  # type: ignore[no-untyped-def]
     points, along the axis along which they are more.
 
     points (4, n or more) float32: x, y, z, height above the road; those lower than ``body_m`` fill the cells.
-    two_points: a cell needs two to be occupied; eight: cells that touch at a corner are neighbours. grid (side, words,
-    4) uint64 and touched (side, words of bits of words) uint64 are as this function left them, or 0. row_start (side +
-    1,) int32 and scratch (5, n + 1 or more) int32 are overwritten, scratch with room for a vector more in every row.
+    scales, per_m: of a ``CellGrid``. two_points: a cell needs two to be occupied; eight: cells that touch at a corner
+    are neighbours. grid (side, words, 4) uint64 and touched (side, words of bits of words) uint64 are as this function
+    left them, or 0. row_start (side + 1,) int32 and scratch (5, n + 1 or more) int32 are overwritten, scratch with room
+    for a vector more in every row.
     """
     key, parent, first, last = scratch[0, :n], scratch[1], scratch[2], scratch[3]
     grid_cells(points[0, :n], points[1, :n], scales, per_m, grid.shape[0], key, scratch[4, :n])
