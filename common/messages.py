@@ -78,6 +78,8 @@ class SensorMessage(Message, kw_only=True):
 
 
 class RadarTrack(msgspec.Struct, kw_only=True):
+    """Something that is followed in the radar frame, with its own alarm level."""
+
     track_id: Count
     range_m: NotNegative
     azimuth_rad: Finite | None
@@ -106,6 +108,8 @@ class RadarTracks(SensorMessage, kw_only=True):
 
 
 class RadarDetection(msgspec.Struct, kw_only=True):
+    """A cell of the range-Doppler map that stands out of its surroundings; closing is negative."""
+
     range_m: NotNegative
     azimuth_rad: Finite | None
     velocity_mps: Finite
@@ -147,6 +151,8 @@ class LaserScan(SensorMessage, kw_only=True):
 
 
 class LidarZone(msgspec.Struct, kw_only=True):
+    """The nearest return in one lane, None = none, and how many there are."""
+
     nearest_m: NotNegative | None
     points: Count
     level: Level
@@ -178,6 +184,8 @@ class LidarZones(SensorMessage, kw_only=True):
 
 
 class CameraDetection(msgspec.Struct, kw_only=True):
+    """An object in one picture; its distance follows from the height of its box."""
+
     label: Name
     confidence: Fraction
     box_xyxy_px: tuple[Finite, Finite, Finite, Finite]
@@ -212,6 +220,8 @@ ObjectLabel = Literal["car", "large_vehicle", "cyclist", "pedestrian", "backgrou
 
 
 class ObjectTrack(msgspec.Struct, kw_only=True, gc=False):
+    """A road user that is followed: box, motion and class in the map frame. Its id is kept for life."""
+
     track_id: Count
     label: ObjectLabel
     label_confidence: Fraction
@@ -235,6 +245,8 @@ class ObjectTracks(SensorMessage, kw_only=True):
 
 
 class Cluster(msgspec.Struct, kw_only=True):
+    """What stands together in one frame, and what it is taken for; yaw along its longer side, map frame."""
+
     label: ObjectLabel
     confidence: Fraction
     centre_m: Vector3
@@ -244,6 +256,8 @@ class Cluster(msgspec.Struct, kw_only=True):
 
 
 class Clusters(SensorMessage, kw_only=True):
+    """Everything in one frame that is neither road nor learned background."""
+
     clusters: Annotated[list[Cluster], Meta(max_length=5000)]
 
 
@@ -300,6 +314,8 @@ class VerdictInput(msgspec.Struct, kw_only=True):
 
 
 class Verdict(Message, kw_only=True):
+    """What fusion says: how dangerous it is, by which rule, and from what. SAFE is never said for want of data."""
+
     level: Level
     rule: Name  # id of the rule that decided
     because: Text  # a sentence for a person
@@ -323,6 +339,8 @@ class FusionTrace(Message, kw_only=True):
 
 
 class SensorHealth(msgspec.Struct, kw_only=True):
+    """Whether fusion can rely on a sensor, since when, and why not."""
+
     state: SensorState
     reason: Text
     since_ns: Count
@@ -334,6 +352,8 @@ class SensorHealth(msgspec.Struct, kw_only=True):
 
 
 class ServiceHealth(msgspec.Struct, kw_only=True):
+    """Whether a process is there, by its liveliness tokens, and what it says of itself."""
+
     alive: bool
     instances: Count
     state: ServiceState
@@ -351,6 +371,8 @@ class ClockHealth(msgspec.Struct, kw_only=True):
 
 
 class SystemHealth(Message, kw_only=True):
+    """The health of everything that one host's fusion depends on."""
+
     sensors: dict[Name, SensorHealth]
     colour: Literal["green", "amber", "red"]
     summary: Text  # the health bar's text
@@ -363,6 +385,8 @@ class SystemHealth(Message, kw_only=True):
 
 
 class ServiceStatus(Message, kw_only=True):
+    """What a service says of itself every second: its state, and what it counted since it began."""
+
     state: ServiceState
     reason: Text
     published: Count
@@ -378,6 +402,8 @@ class ServiceStatus(Message, kw_only=True):
 
 
 class ServiceInfo(Message, kw_only=True):
+    """Who a service is: asked for, not sent."""
+
     service: Name
     host: Name
     instance: Name

@@ -12,6 +12,7 @@ from services.infra_lidar.warm_up import PACKET_KERNELS, warm_up
 
 
 def main() -> None:
+    """Warm up as the service does, and run three frames of the simulator, which has kernels of its own."""
     config = InfraLidarConfig()
     warm_up(config, lambda _: None)
     for decode_nothing in PACKET_KERNELS.values():

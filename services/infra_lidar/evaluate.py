@@ -35,14 +35,17 @@ class Evaluation:
 
     @property
     def precision(self) -> np.ndarray:
+        """(C,) of those called a class, the share that is of it; 0 where none is called so."""
         return np.asarray(np.diag(self.confusion) / np.maximum(self.confusion.sum(axis=0), 1))
 
     @property
     def recall(self) -> np.ndarray:
+        """(C,) of those of a class, the share that is called so."""
         return np.asarray(np.diag(self.confusion) / np.maximum(self.confusion.sum(axis=1), 1))
 
     @property
     def f1(self) -> np.ndarray:
+        """(C,) harmonic mean of precision and recall."""
         both = self.confusion.sum(axis=0) + self.confusion.sum(axis=1)
         return np.asarray(2 * np.diag(self.confusion) / np.maximum(both, 1))
 
@@ -53,6 +56,7 @@ class Evaluation:
 
     @property
     def accuracy(self) -> float:
+        """Share of all clusters that are called what they are."""
         return float(np.trace(self.confusion) / max(self.confusion.sum(), 1))
 
     def calibration_error(self, bins: int = 10) -> float:
@@ -74,6 +78,7 @@ def judge(probabilities: np.ndarray, labels: np.ndarray) -> Evaluation:
 
 
 def evaluate_forest(forest: Forest, clusters: LabelledClusters) -> Evaluation:
+    """What a forest makes of clusters it should not have been trained on."""
     x = compute_features(clusters.points, clusters.offsets, clusters.ground_z_m, forest.features)
     return judge(forest.probabilities(x), clusters.labels)
 
@@ -113,6 +118,7 @@ def confusion_table(result: Evaluation) -> str:
 
 
 def ablation_row(name: str, result: Evaluation) -> str:
+    """A feature set by name, how many features it has, F1 over all and per class, and the article's figure."""
     article = f"{ARTICLE_F1[name]:.3f}" if name in ARTICLE_F1 else "-"
     per_class = "".join(
         f"{v:10.3f}" if there else f"{'-':>10}" for v, there in zip(result.f1, result.present, strict=True)
@@ -121,6 +127,7 @@ def ablation_row(name: str, result: Evaluation) -> str:
 
 
 def ablation_head() -> str:
+    """The names of the columns of ``ablation_row``."""
     return f"{'set':<10}{'N':>4}{'macro F1':>10}" + "".join(f"{name[:9]:>10}" for name in CLASSES) + f"{'article':>12}"
 
 

@@ -115,6 +115,7 @@ class Forest:
         return total.hexdigest()
 
     def save(self, path: Path) -> None:
+        """Write what ``load_forest`` reads, with a checksum over all of it."""
         header = {
             "classes": self.classes,
             "features": self.features,

@@ -204,6 +204,7 @@ class Receiver:
             return None
 
     def close(self) -> None:
+        """End the thread and give the port back."""
         self._stop.set()
         self._thread.join(1.0)
         self._socket.close()

@@ -19,6 +19,7 @@ ASK_FOR_S = 3.0
 
 
 def command_key(host: str) -> str:
+    """The key at which a host's roadside lidar answers to this command."""
     return f"{host}/infra_lidar/recalibrate"
 
 
@@ -31,6 +32,7 @@ class RecalibrationRequest:
         self._queryable = service.session.declare_queryable(self._key, self._answer)
 
     def taken(self) -> bool:
+        """Whether somebody has asked since the last call."""
         if not self._asked.is_set():
             return False
         self._asked.clear()
