@@ -40,7 +40,7 @@ class BackgroundModel:
 @dataclass(frozen=True)
 class Sifted:
     """A frame of N returns parted: fresh (3, M or more) x, y, z with index ``source`` (M,), masks (N,), and what was
-    counted. Views into buffers."""
+    counted. ``fresh`` and ``source`` are views into buffers, valid until the next frame."""
 
     fresh: np.ndarray
     source: np.ndarray
@@ -145,12 +145,12 @@ class Background:
         points = np.ascontiguousarray(points, np.float32)
         n, take = len(points), self._buffers.take
         room = n + -n % LINE_FLOATS
-        known, ground = take("bg_known", n, np.bool_), take("bg_ground", n, np.bool_)
+        known, ground = np.empty((2, room + LINE_FLOATS), np.bool_)  # new ones: who asks keeps them
         source, fresh = take("bg_source", n, np.int32), take(FLOATS, 3 * room, np.float32).reshape(3, room)
         m, returns, near = kernels.sift(
             points, model.columns, model.rows, model.ranges, np.float32(near_m), known, ground, source, fresh
         )  # fmt: skip
-        return Sifted(fresh, source[:m], known, ground, returns, near)
+        return Sifted(fresh, source[:m], known[:n], ground[:n], returns, near)
 
 
 def _widened(users: np.ndarray) -> np.ndarray:

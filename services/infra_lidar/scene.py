@@ -90,7 +90,7 @@ class Scene:
         drawn = self._structure.draw(parted.frame, road_user)
         self.background.model = replace(self.background.model, structure=drawn)
         sifted = self.background.sift(points, self._config.blindness.near_m)
-        return np.zeros(len(points), bool) if sifted is None else sifted.known.copy()
+        return np.zeros(len(points), bool) if sifted is None else sifted.known
 
     def structural(self, parted: Parted, found: ClusterPoints, ground_z_m: np.ndarray) -> np.ndarray:
         """(K,) bool: clusters of a sifted frame that lie within fixed structure; none of a whole frame do."""
@@ -126,14 +126,12 @@ class Scene:
         if self._keeper.due(stamp_ns):  # now and then what is known is looked at, too
             sample = np.ascontiguousarray(points[::WATCH_EVERY])
             self._look_after(stamp_ns, sample, self.ground.look(sample, calibration.T_level_sensor))
-        ground = sifted.ground.copy()  # first: the buffers are used again
-        known = sifted.known.copy()
         frame = self.ground.remove_known(
             sifted.fresh, len(sifted.source), calibration.T_level_sensor, self.background.model.surface
         )
-        put_back(frame.ground, sifted.source, ground)
+        put_back(frame.ground, sifted.source, sifted.ground)
         seen = Returns(len(points), sifted.returns, sifted.near, self._beam_count, self._sector_count)
-        return Parted(frame, sifted.source, ground, known, seen)
+        return Parted(frame, sifted.source, sifted.ground, sifted.known, seen)
 
     def _look_after(self, stamp_ns: int, sample: np.ndarray, frame: Levelled) -> None:
         """Count the beams of a sample and the directions of a frame or of the sample, and watch for a nudge."""
