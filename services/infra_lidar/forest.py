@@ -77,7 +77,7 @@ class Forest:
         self, rows: np.ndarray, column: int, queue: np.ndarray | None, out: np.ndarray, low: np.ndarray | None,
         high: np.ndarray | None,
     ) -> None:  # fmt: skip
-        nodes, limits = self._packed
+        nodes, limits = self._packed(column)
         walk(rows, nodes, limits, self.value, self.root, column, queue, out, low, high)
 
     @cached_property
@@ -86,15 +86,33 @@ class Forest:
         columns, counts = np.unique(self.feature[np.isfinite(self.threshold)], return_counts=True)
         return dict(zip(columns.tolist(), counts.tolist(), strict=True))
 
+    def _packed(self, column: int) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes as ``walk`` takes them with this column open, eight bytes each: one cache line a step instead of three.
+        And the same memory as float32."""
+        if column not in self._packs:
+            nodes = np.empty((len(self.feature), 2), np.int32)
+            leaves = self.child == np.arange(len(self.child))
+            other = int(column == 0)
+            asked = np.where(leaves, np.where(self._below(column), column, other), self.feature)
+            nodes[:, 0] = (self.child << COLUMN_BITS) | asked
+            nodes[:, 1] = np.where(leaves, NO_NUMBER | self.leaf, self.threshold.view(np.int32))
+            self._packs[column] = nodes.ravel(), nodes.ravel().view(np.float32)
+        return self._packs[column]
+
     @cached_property
-    def _packed(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes as ``walk`` takes them, eight bytes each: one cache line a step instead of three. And the same memory
-        as float32."""
-        nodes = np.empty((len(self.feature), 2), np.int32)
-        nodes[:, 0] = (self.child << COLUMN_BITS) | self.feature
-        leaves = self.child == np.arange(len(self.child))
-        nodes[:, 1] = np.where(leaves, NO_NUMBER | self.leaf, self.threshold.view(np.int32))
-        return nodes.ravel(), nodes.ravel().view(np.float32)
+    def _packs(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        return {}
+
+    def _below(self, column: int) -> np.ndarray:
+        """(N,) bool: nodes with one above them that asks for a column."""
+        asks = (self.feature == column) & np.isfinite(self.threshold)
+        below, at = np.zeros(len(asks), bool), self.root
+        while len(at):  # level by level
+            at = at[self.child[at] != at]
+            left = self.child[at]
+            below[left] = below[left + 1] = below[at] | asks[at]
+            at = np.concatenate((left, left + 1))
+        return below
 
     def probabilities(self, x: np.ndarray) -> np.ndarray:
         """(K, C) float32 calibrated probabilities, each row sums to 1."""

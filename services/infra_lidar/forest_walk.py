@@ -3,9 +3,9 @@
 Eight rows go down a tree together, a step each in turn: every step waits for the one before, so the processor works on
 those of the others meanwhile. (With vectors, a row a lane, it took twice as long on a Zen 4.)
 
-Where a column is open, a row goes at each node that asks for it both ways: on as its number says, and once more, later,
-the other way. So the ends that it could reach are known, and with them between which bounds its shares lie whatever
-the number is.
+Where a column is open, a row that came by a node that asks for it walks that tree once more, and at each such node both
+ways: on as its number says, and later the other way. So the ends that it could reach are known, and with them between
+which bounds its shares lie whatever the number is.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ def walk(
     """Mean class shares (K, C) of the trees into ``out``.
 
     nodes (2 N,) int32: child and column in one word, then the bits of the threshold, of a leaf those of what is not a
-    number, ending in its row of ``value`` (L, C); limits: the same as float32. The least and most that the shares can
-    be, whatever the open column holds, go into ``low`` and ``high`` (K, C); ``queue`` (2, room) int32 needs room for
-    ``TOGETHER`` of each node that asks for it, and ``TOGETHER`` more. Without them no column is open, and what is done
-    for it is not even compiled.
+    number, ending in its row of ``value`` (L, C); limits: the same as float32. The column of a leaf is the open one if
+    a node above it asks for that, else another. The least and most that the shares can be, whatever the open column
+    holds, go into ``low`` and ``high`` (K, C); ``queue`` (2, room) int32 needs room for ``TOGETHER`` of each node that
+    asks for it, and ``TOGETHER`` more. Without them no column is open, and what is done for it is not even compiled.
 
     All rows walk a tree before the next one is touched: so every node comes from memory once a frame.
     """
@@ -45,7 +45,8 @@ def walk(
     for tree in range(trees):
         _fetch(nodes, root, tree + 1)
         for first in range(0, rows, TOGETHER):
-            opened = _descend(here[first * columns :], columns, nodes, limits, root[tree], open_column, queue, at)
+            _descend(here[first * columns :], columns, nodes, limits, root[tree], at)
+            opened = _note(nodes, at, min(TOGETHER, rows - first), root[tree], open_column, queue)
             for k in range(TOGETHER):
                 at[k] = (nodes[2 * at[k] + 1] & ROW) * classes  # where its shares begin
                 for c in range(classes):
@@ -91,10 +92,9 @@ def _step(here, row, nodes, limits, at):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _descend(here, columns, nodes, limits, root, open_column, queue, at):  # type: ignore[no-untyped-def]
-    """Walk down a tree with eight rows, to the leaves ``at`` (TOGETHER,) uint32. Returns how many nodes asked for the
-    open column: who stood there goes into queue[0], the way not taken into queue[1]."""
-    opened, n = 0, np.uint32(columns)
+def _descend(here, columns, nodes, limits, root, at):  # type: ignore[no-untyped-def]
+    """Walk down a tree with eight rows, to the leaves ``at`` (TOGETHER,) uint32."""
+    n = np.uint32(columns)
     a = b = c = d = e = f = g = h = np.uint32(root)
     moved = True
     while moved:
@@ -102,25 +102,20 @@ def _descend(here, columns, nodes, limits, root, open_column, queue, at):  # typ
         c1, d1 = _step(here, 2 * n, nodes, limits, c), _step(here, 3 * n, nodes, limits, d)
         e1, f1 = _step(here, 4 * n, nodes, limits, e), _step(here, 5 * n, nodes, limits, f)
         g1, h1 = _step(here, 6 * n, nodes, limits, g), _step(here, 7 * n, nodes, limits, h)
-        if queue is not None:
-            at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7] = a, b, c, d, e, f, g, h
-            opened = _note(here, n, nodes, limits, at, open_column, queue, opened)
         moved = ((a ^ a1) | (b ^ b1) | (c ^ c1) | (d ^ d1) | (e ^ e1) | (f ^ f1) | (g ^ g1) | (h ^ h1)) != 0
         a, b, c, d, e, f, g, h = a1, b1, c1, d1, e1, f1, g1, h1
     at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7] = a, b, c, d, e, f, g, h
-    return opened
 
 
 @inner
-def _note(here, columns, nodes, limits, at, open_column, queue, opened):  # type: ignore[no-untyped-def]
-    """Queue the other ways of those rows that stand at a node that asks for the open column."""
-    for k in range(TOGETHER):
-        word = np.uint32(nodes[2 * at[k]])
-        left = word >> np.uint32(COLUMN_BITS)
-        if (word & _COLUMN) == open_column and left != at[k]:
-            right = _step(here, k * columns, nodes, limits, at[k]) != left
-            queue[0, opened], queue[1, opened] = k, left + (not right)
-            opened += 1
+def _note(nodes, at, rows, root, open_column, queue):  # type: ignore[no-untyped-def]
+    """Queue the rows that came by a node that asks for the open column, to begin again; returns how many."""
+    opened = 0
+    if queue is not None:
+        for k in range(rows):
+            if (nodes[2 * at[k]] & _COLUMN) == open_column:
+                queue[0, opened], queue[1, opened] = k, root
+                opened += 1
     return opened
 
 
@@ -129,9 +124,9 @@ def _add_doubts(
     here: np.ndarray, columns: int, nodes: np.ndarray, limits: np.ndarray, shares: np.ndarray, classes: int,
     begin: np.ndarray, opened: int, open_column: int, queue: np.ndarray, total: np.ndarray,
 ) -> None:  # fmt: skip
-    """Walk the ways not taken, and those not taken on them. What an end has less, or more, of a class than the one that
-    was reached is added to what can be lost, or won, of it: at most one of a tree's ends is reached, so a tree with
-    several is given more doubt than it has, never less."""
+    """Walk once more, then the ways not taken, and those not taken on them. What an end has less, or more, of a class
+    than the one that was reached is added to what can be lost, or won, of it: at most one of a tree's ends is reached,
+    so a tree with several is given more doubt than it has, never less."""
     k = 0
     while k < opened:
         row, at = queue[0, k], queue[1, k]
