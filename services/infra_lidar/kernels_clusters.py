@@ -9,9 +9,20 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.extremes import low_high
-from services.infra_lidar.jit import inline, inner, sum_kernel
+from services.infra_lidar.jit import inner, sum_kernel
 from services.infra_lidar.kernels_runs import find_runs
-from services.infra_lidar.vectors import LANES, fma, lane_max, lane_min, lane_sum, larger, load, smaller, splat, store
+from services.infra_lidar.vectors import (
+    LANES,
+    copy_first,
+    fma,
+    lane_max,
+    lane_min,
+    lane_sum,
+    larger,
+    load,
+    smaller,
+    splat,
+)
 
 
 @inner
@@ -61,7 +72,8 @@ def _number_clusters(  # type: ignore[no-untyped-def]
 @inner
 def _arrange(begin, label, begins, number, offsets, points, source, there, there_source):  # type: ignore[no-untyped-def]
     """A stable counting sort by the clusters of labels, span by span."""
-    slot = offsets.copy()
+    slot, x, y, z, above = offsets.copy(), points[0], points[1], points[2], points[3]
+    there_x, there_y, there_z, there_above = there[0], there[1], there[2], there[3]
     for r in range(len(begins) - 1):
         k = number[np.uint32(label[begins[r]] + 1)]
         if k < 0:
@@ -69,29 +81,13 @@ def _arrange(begin, label, begins, number, offsets, points, source, there, there
         first = begin[begins[r]]
         n, to = begin[begins[r + 1]] - first, slot[np.uint32(k)]
         slot[np.uint32(k)] += n
-        if n < LANES:
-            _copy_few(points, source, first, n, there, there_source, to)
-        else:
-            for row in range(4):
-                _copy(points[row], first, n, there[row], to)
-            _copy(source, first, n, there_source, to)
-
-
-@inline
-def _copy_few(points, source, first, n, there, there_source, to):  # type: ignore[no-untyped-def]
-    """All rows in one loop: where it ends is hard to foresee, once is enough."""
-    for i in range(np.uint64(n)):
-        a, b = np.uint64(first) + i, np.uint64(to) + i
-        there[0, b], there[1, b], there[2, b], there[3, b] = points[0, a], points[1, a], points[2, a], points[3, a]
-        there_source[b] = source[a]
-
-
-@inline
-def _copy(values, first, n, out, to):  # type: ignore[no-untyped-def]
-    """out[to : to + n] = values[first : first + n], LANES or more."""
-    for i in range(0, n - LANES, LANES):
-        store(out, to + i, load(values, first + i))
-    store(out, to + n - LANES, load(values, first + n - LANES))  # once more what is left over
+        for i in range(0, n, LANES):
+            a, b, left = first + i, to + i, np.int32(n - i)
+            copy_first(there_x, b, x, a, left)
+            copy_first(there_y, b, y, a, left)
+            copy_first(there_z, b, z, a, left)
+            copy_first(there_above, b, above, a, left)
+            copy_first(there_source, b, source, a, left)
 
 
 @inner
@@ -190,11 +186,8 @@ def take_out(grouped, offsets, source, box, label, cluster_id):  # type: ignore[
         for i in range(first, first + n):
             cluster_id[np.uint32(source[i])] = number
         for row in range(3):
-            if n < LANES:
-                for i in range(np.uint64(n)):
-                    planar[row, np.uint64(to) + i] = grouped[row, np.uint64(first) + i]
-            else:
-                _copy(grouped[row], first, n, planar[row], to)
+            for i in range(0, n, LANES):
+                copy_first(planar[row], to + i, grouped[row], first + i, np.int32(n - i))
         for column in range(8):
             boxes[number, column] = box[k, column]
         number, to = number + 1, to + n
