@@ -293,8 +293,8 @@ def store(array: Any, at: Any, vector: Any) -> Any:
 
 @_named(_copy_first)
 def copy_first(out: Any, to: Any, values: Any, at: Any, number: Any) -> Any:
-    """out[to : to + number] = values[at : at + number], LANES at the most, float32 or int32. Nothing else is touched: no
-    room is needed behind either."""
+    """out[to : to + number] = values[at : at + number], LANES at the most, of float32 or int32. Nothing else is read
+    or written: no room is needed behind either."""
 
 
 @_named(_store_chosen)

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import cdist
@@ -127,6 +127,7 @@ def test_hull_fill_is_the_share_of_the_box_that_the_convex_hull_covers() -> None
 
 
 @settings(max_examples=150, deadline=None)
+@example(seed=173, n=174, step=0.0, shape="corner", size=(7.0, 0.5))  # three corners of its hull are in one column
 @given(
     seed=st.integers(0, 10_000), n=st.integers(3, 300), step=st.sampled_from([0.0, 0.05, 0.5]),
     shape=st.sampled_from(["square", "disc", "ring", "corner"]), size=st.tuples(*[st.floats(0.2, 12.0)] * 2),
@@ -148,7 +149,7 @@ def test_hull_fill_of_few_points_is_exact(
     assume(len(place) >= 3 and np.linalg.matrix_rank(place - place.mean(axis=0), tol=1e-3) == 2)
     ((fill, area),) = compute_features(points, offsets, np.zeros(1), ("hull_fill", "xy_area"))
     hull = ConvexHull(points[:, :2].astype(np.float64)).volume
-    assert fill * area == pytest.approx(hull, rel=1e-4 if n <= 64 else 0.01, abs=1e-4)
+    assert fill * area == pytest.approx(hull, rel=1e-4 if n <= 64 else 0.002, abs=1e-4)
 
 
 @settings(max_examples=40, deadline=None)
