@@ -130,7 +130,7 @@ class OusterParser:
         packets = layout.columns_per_frame // layout.columns_per_packet
         lost = 0 if self._next_packet is None else (index - self._next_packet) % packets
         new_frame = self._frame_id is not None and frame_id != self._frame_id
-        ended = self.turns.finish() if new_frame else None
+        ended = self.turns.finish() if new_frame or self.turns.full else None
         degrees = 360.0 / packets
         self._frame_id, self._next_packet = frame_id, (index + 1) % packets
         self.turns.add(packet, index * degrees, (index + 1) * degrees - 1e-6, stamp_ns, lost)

@@ -14,6 +14,7 @@ from services.infra_lidar.blindness import FrameQuality
 
 FULL_TURN_SHARE = 0.97
 TOGETHER = 64  # packets, a tenth of a turn
+MOST_PACKETS = 4096  # of a turn; a slow one with two returns has 2400. A head that is stuck ends no turn by itself
 
 
 @dataclass(frozen=True)
@@ -49,24 +50,28 @@ class TurnPoints:
     def __init__(self, decoder: PacketDecoder, packets: int = 0) -> None:
         self._decoder = decoder
         self._points, self._filled = np.empty((0, 5), np.float32), 0
-        self._usual = packets * decoder.points_per_packet  # room for a turn
+        self._needed, self._usual = 0, packets * decoder.points_per_packet  # room: for this turn, for a turn
 
     def add(self, packets: list[bytes]) -> None:
         """The next packets, all of one size."""
         raw = np.frombuffer(b"".join(packets), np.uint8).reshape(len(packets), -1)
-        needed = self._filled + len(packets) * self._decoder.points_per_packet
-        if needed > len(self._points):
-            larger = np.empty((max(needed, self._usual), 5), np.float32)
+        self._needed = self._filled + len(packets) * self._decoder.points_per_packet
+        if self._needed > len(self._points):
+            larger = np.empty((max(_and_an_eighth(self._needed), self._usual), 5), np.float32)
             larger[: self._filled] = self._points[: self._filled]
             self._points = larger
         self._filled += self._decoder.decode(raw, self._points[self._filled :])
-        self._usual = max(self._usual, needed)
 
     def take(self) -> np.ndarray:
         """(N, 5) float32: all of them; the next turn begins."""
         points = self._points[: self._filled]
         self._points, self._filled = np.empty((0, 5), np.float32), 0
+        self._needed, self._usual = 0, _and_an_eighth(self._needed)
         return points
+
+
+def _and_an_eighth(room: int) -> int:
+    return room + room // 8
 
 
 def decode_turn(packets: list[bytes], decoder: PacketDecoder) -> np.ndarray:
@@ -102,6 +107,11 @@ class TurnCollector:
         self._lost += lost
         self.lost += lost
         self._stamp_ns = stamp_ns
+
+    @property
+    def full(self) -> bool:
+        """Whether there are more packets than any turn has: then it is ended, as an incomplete one."""
+        return len(self._packets) >= MOST_PACKETS
 
     def finish(self) -> Revolution | None:
         """The turn that ends here, None if nothing has come yet."""

@@ -78,7 +78,7 @@ class Vls128Parser:
             return None
         lost = self._count_lost(time_us, mode)
         turn_deg, end_deg = (first / 100.0 - self._cut_deg) % 360.0, (last / 100.0 - self._cut_deg) % 360.0
-        ended = self.turns.finish() if turn_deg < self._last_turn_deg - 180.0 else None
+        ended = self.turns.finish() if turn_deg < self._last_turn_deg - 180.0 or self.turns.full else None
         self._last_turn_deg = turn_deg
         self.turns.add(packet, turn_deg, end_deg, stamp_ns, lost)
         return ended

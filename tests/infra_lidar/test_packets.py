@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from services.infra_lidar import ouster, velodyne
 from services.infra_lidar.captures import CaptureError, read_pcap, read_velodyne_scan
 from services.infra_lidar.ouster import MetadataError, OusterFormat, OusterParser
-from services.infra_lidar.revolutions import TOGETHER, TurnPoints, decode_turn
+from services.infra_lidar.revolutions import MOST_PACKETS, TOGETHER, TurnPoints, decode_turn
 from services.infra_lidar.velodyne import DECODER, PACKET_BYTES, RING, Vls128Parser
 
 
@@ -79,6 +79,32 @@ def test_a_turn_is_the_sum_of_its_parts_however_many_they_are():
     np.testing.assert_allclose(whole[: 600 * 384], whole[600 * 384 :], atol=1e-4)
     assert len(points.take()) == 0
     assert len(decode_turn(packets[: TOGETHER + 1], DECODER)) == (TOGETHER + 1) * 384
+
+
+def test_a_head_that_is_stuck_fills_no_memory():
+    packet, parser, turns = _vls_packet(90.0), Vls128Parser(), []
+    for _ in range(2 * MOST_PACKETS + 10):
+        turn = parser.feed(packet, 0)
+        turns += [turn] if turn is not None else []
+    assert [len(turn.packets) for turn in turns] == [MOST_PACKETS] * 2
+    assert not any(turn.quality.complete for turn in turns)
+
+    layout, frames = OusterFormat(_metadata()), OusterParser(OusterFormat(_metadata()))
+    packet = _ouster_packet(layout, 7, 16)
+    turns = [turn for _ in range(MOST_PACKETS + 1) if (turn := frames.feed(packet, 0)) is not None]
+    assert [len(turn.packets) for turn in turns] == [MOST_PACKETS]
+    assert not turns[0].quality.complete
+
+
+def test_the_room_for_a_turn_follows_the_turns():
+    points = TurnPoints(DECODER)
+    for packets in (600, 1200, 601, 100):
+        for part in range(0, packets, TOGETHER):
+            points.add(_walls(1)[: min(TOGETHER, packets - part)])
+        taken = points.take()
+        assert len(taken) == packets * 384
+    points.add(_walls(1)[:1])
+    assert len(points.take().base) < 200 * 384  # no longer that of the long turn
 
 
 def test_the_first_packet_waits_for_no_compiler():
