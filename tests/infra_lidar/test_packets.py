@@ -9,30 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.infra_lidar import ouster, velodyne
 from services.infra_lidar.captures import CaptureError, read_pcap, read_velodyne_scan
 from services.infra_lidar.ouster import MetadataError, OusterFormat, OusterParser
-from services.infra_lidar.revolutions import MOST_PACKETS, TOGETHER, TurnPoints, decode_turn
-from services.infra_lidar.velodyne import DECODER, PACKET_BYTES, RING, Vls128Parser
-
-
-def _vls_packet(azimuth_deg, steps=2500, time_us=0, mode=0x37, product=0xA1, flags=(0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF)):
-    """Three firing sequences of all lasers at the same distance, the head 0.2 degrees on each time."""
-    blocks = b""
-    for block in range(12):
-        azimuth = round((azimuth_deg + 0.2 * (block // 4)) * 100) % 36000
-        blocks += struct.pack("<HH", flags[block % 4], azimuth) + struct.pack("<HB", steps, 77) * 32
-    return blocks + struct.pack("<IBB", time_us, mode, product)
-
-
-def _turn(parser, first_deg=0.0, **how):
-    """Feed a whole turn; the revolutions that came out."""
-    done = [parser.feed(_vls_packet((first_deg + 0.6 * k) % 360, time_us=166 * k, **how), k) for k in range(610)]
-    return [revolution for revolution in done if revolution is not None]
+from services.infra_lidar.velodyne import PACKET_BYTES, RING, Vls128Parser
+from tests.infra_lidar.made_packets import metadata, ouster_packet, turns_of, vls_packet
 
 
 def test_a_vls128_turn_in_numbers():
-    (turn,) = _turn(Vls128Parser())
+    (turn,) = turns_of(Vls128Parser())
     assert turn.points.shape == (600 * 384, 5)
     assert turn.quality.complete
     assert turn.quality.packets_lost == 0
@@ -50,81 +34,13 @@ def test_a_vls128_turn_in_numbers():
     assert np.degrees(np.arctan2(-first[0, 1], first[0, 0])) == pytest.approx(6.354, abs=0.01)
 
 
-def _walls(turns):
-    """Packets of some turns with a wall somewhere else in each packet."""
-    rng = np.random.default_rng(5)
-    return [
-        _vls_packet((0.6 * k) % 360, steps=int(rng.integers(200, 9000)), time_us=166 * k) for k in range(turns * 600)
-    ]
-
-
-def test_a_turn_that_is_decoded_while_it_comes_is_the_same_as_at_once():
-    parser = Vls128Parser()
-    turns = [turn for k, packet in enumerate(_walls(3)) if (turn := parser.feed(packet, k)) is not None]
-    kept = [turn.points.copy() for turn in turns]
-    assert len(turns) == 2
-    for turn, points in zip(turns, kept, strict=True):
-        np.testing.assert_array_equal(turn.points, points)  # what comes later goes elsewhere
-        np.testing.assert_array_equal(turn.points, decode_turn(turn.packets, DECODER))
-    assert not np.array_equal(kept[0], kept[1])
-
-
-def test_a_turn_is_the_sum_of_its_parts_however_many_they_are():
-    packets = _walls(1)
-    points = TurnPoints(DECODER)
-    for part in (packets[:1], packets[1:200], packets[200:], packets):
-        points.add(part)
-    whole = points.take()
-    assert len(whole) == 2 * 600 * 384
-    np.testing.assert_allclose(whole[: 600 * 384], whole[600 * 384 :], atol=1e-4)
-    assert len(points.take()) == 0
-    assert len(decode_turn(packets[: TOGETHER + 1], DECODER)) == (TOGETHER + 1) * 384
-
-
-def test_a_head_that_is_stuck_fills_no_memory():
-    packet, parser, turns = _vls_packet(90.0), Vls128Parser(), []
-    for _ in range(2 * MOST_PACKETS + 10):
-        turn = parser.feed(packet, 0)
-        turns += [turn] if turn is not None else []
-    assert [len(turn.packets) for turn in turns] == [MOST_PACKETS] * 2
-    assert not any(turn.quality.complete for turn in turns)
-
-    layout, frames = OusterFormat(_metadata()), OusterParser(OusterFormat(_metadata()))
-    packet = _ouster_packet(layout, 7, 16)
-    turns = [turn for _ in range(MOST_PACKETS + 1) if (turn := frames.feed(packet, 0)) is not None]
-    assert [len(turn.packets) for turn in turns] == [MOST_PACKETS]
-    assert not turns[0].quality.complete
-
-
-def test_the_room_for_a_turn_follows_the_turns():
-    points = TurnPoints(DECODER)
-    for packets in (600, 1200, 601, 100):
-        for part in range(0, packets, TOGETHER):
-            points.add(_walls(1)[: min(TOGETHER, packets - part)])
-        taken = points.take()
-        assert len(taken) == packets * 384
-    points.add(_walls(1)[:1])
-    assert len(points.take().base) < 200 * 384  # no longer that of the long turn
-
-
-def test_the_first_packet_waits_for_no_compiler():
-    velodyne.decode_nothing()
-    _turn(Vls128Parser())
-    ouster.decode_nothing()
-    for profile in ("LEGACY", "RNG19_RFL8_SIG16_NIR16", "RNG15_RFL8_NIR8"):
-        layout = OusterFormat(_metadata(profile))
-        decode_turn([_ouster_packet(layout, 7, 0)], ouster.decoder(layout))
-    for kernel in (velodyne._decode, velodyne._head_rate_deg_per_s, ouster._project):
-        assert len(kernel.signatures) == 1
-
-
 def test_lost_packets_and_partial_turns_are_counted():
     parser = Vls128Parser()
     turns = []
     for k in range(1, 620):
         if 100 <= k < 130:  # 30 packets, 18 degrees
             continue
-        done = parser.feed(_vls_packet((0.6 * k) % 360, time_us=166 * k), k)
+        done = parser.feed(vls_packet((0.6 * k) % 360, time_us=166 * k), k)
         turns += [done] if done is not None else []
     assert turns[0].quality.packets_lost == 30
     assert not turns[0].quality.complete
@@ -133,7 +49,7 @@ def test_lost_packets_and_partial_turns_are_counted():
 
 @pytest.mark.parametrize(
     "packet",
-    [b"", bytes(PACKET_BYTES), _vls_packet(0)[:-1], _vls_packet(0, product=0x22), _vls_packet(0)[:2] + b"\xff" * 1204],
+    [b"", bytes(PACKET_BYTES), vls_packet(0)[:-1], vls_packet(0, product=0x22), vls_packet(0)[:2] + b"\xff" * 1204],
 )
 def test_other_packets_are_rejected(packet):
     parser = Vls128Parser()
@@ -142,8 +58,8 @@ def test_other_packets_are_rejected(packet):
 
 
 def test_no_returns_and_unknown_banks_give_no_points():
-    assert len(_turn(Vls128Parser(), steps=0)[0].points) == 0
-    (turn,) = _turn(Vls128Parser(), flags=(0xEEFF, 0x1234, 0xCCFF, 0x4321))
+    assert len(turns_of(Vls128Parser(), steps=0)[0].points) == 0
+    (turn,) = turns_of(Vls128Parser(), flags=(0xEEFF, 0x1234, 0xCCFF, 0x4321))
     assert len(turn.points) == 600 * 192
 
 
@@ -153,46 +69,17 @@ def test_garbage_never_stops_the_parser(packets, signed):
     parser = Vls128Parser()
     for packet in packets:
         parser.feed(packet[:-1] + b"\xa1" if signed else packet, 0)
-    _turn(parser)
-
-
-def _metadata(profile="RNG19_RFL8_SIG16_NIR16", columns=64, beams=4, **change):
-    document = {
-        "beam_altitude_angles": [20.0, 0.0, -10.0, -20.0], "beam_azimuth_angles": [0.0, 0.0, 0.0, 0.0],
-        "lidar_origin_to_beam_origin_mm": 0.0, "lidar_to_sensor_transform": np.eye(4).ravel().tolist(),
-        "data_format": {
-            "columns_per_frame": columns, "columns_per_packet": 16, "pixels_per_column": beams,
-            "udp_profile_lidar": profile,
-        },
-    }  # fmt: skip
-    return json.dumps(document | change)
-
-
-def _ouster_packet(layout, frame_id, first_column, range_mm=8000, valid=1):
-    p = layout.profile
-    head = struct.pack("<HH", 1, frame_id).ljust(p.packet_header, b"\0") if p.packet_header else b""
-    body = b""
-    for column in range(first_column, first_column + 16):
-        if layout.profile_name == "LEGACY":
-            body += struct.pack("<QHHI", 0, column, frame_id, 0)
-        else:
-            body += struct.pack("<QHH", 0, column, valid)
-        step = range_mm // p.range_step_mm
-        pixel = struct.pack("<H" if p.range_type == "<u2" else "<I", step).ljust(p.reflectivity_at, b"\0") + b"\x32"
-        body += pixel.ljust(p.pixel, b"\0") * layout.beams
-        if layout.profile_name == "LEGACY":
-            body += struct.pack("<I", 0xFFFFFFFF if valid else 0)
-    return head + body + bytes(p.packet_footer)
+    turns_of(parser)
 
 
 @pytest.mark.parametrize(
     "profile", ["LEGACY", "RNG19_RFL8_SIG16_NIR16", "RNG19_RFL8_SIG16_NIR16_DUAL", "RNG15_RFL8_NIR8"]
 )
 def test_an_ouster_turn_in_numbers(profile):
-    layout = OusterFormat(_metadata(profile))
+    layout = OusterFormat(metadata(profile))
     parser = OusterParser(layout)
-    done = [parser.feed(_ouster_packet(layout, 7, c), c) for c in range(0, 64, 16)]
-    turn = parser.feed(_ouster_packet(layout, 8, 0), 99)
+    done = [parser.feed(ouster_packet(layout, 7, c), c) for c in range(0, 64, 16)]
+    turn = parser.feed(ouster_packet(layout, 8, 0), 99)
     assert not any(done)
     assert turn.points.shape == (64 * 4, 5)
     assert turn.quality.complete
@@ -205,12 +92,12 @@ def test_an_ouster_turn_in_numbers(profile):
 
 
 def test_ouster_losses_invalid_columns_and_strangers():
-    layout = OusterFormat(_metadata())
+    layout = OusterFormat(metadata())
     parser = OusterParser(layout)
-    parser.feed(_ouster_packet(layout, 1, 0), 0)
-    parser.feed(_ouster_packet(layout, 1, 48, valid=0), 0)
+    parser.feed(ouster_packet(layout, 1, 0), 0)
+    parser.feed(ouster_packet(layout, 1, 48, valid=0), 0)
     parser.feed(b"another service", 0)
-    turn = parser.feed(_ouster_packet(layout, 2, 0), 0)
+    turn = parser.feed(ouster_packet(layout, 2, 0), 0)
     assert turn.quality.packets_lost == 2
     assert not turn.quality.complete
     assert len(turn.points) == 16 * 4
@@ -220,7 +107,7 @@ def test_ouster_losses_invalid_columns_and_strangers():
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "{}", _metadata("SMOKE"), _metadata(beams=5), _metadata(beam_altitude_angles=None)]
+    "text", ["", "[]", "{}", metadata("SMOKE"), metadata(beams=5), metadata(beam_altitude_angles=None)]
 )
 def test_metadata_that_lack_something_are_refused(text):
     with pytest.raises(MetadataError):
@@ -228,13 +115,13 @@ def test_metadata_that_lack_something_are_refused(text):
 
 
 def test_nested_metadata_of_newer_firmware():
-    flat = json.loads(_metadata())
+    flat = json.loads(metadata())
     nested = {
         "beam_intrinsics": {k: flat[k] for k in ("beam_altitude_angles", "beam_azimuth_angles")},
         "lidar_intrinsics": {"lidar_to_sensor_transform": flat["lidar_to_sensor_transform"]},
         "lidar_data_format": flat["data_format"],
     }
-    assert OusterFormat(json.dumps(nested)).packet_bytes == OusterFormat(_metadata()).packet_bytes
+    assert OusterFormat(json.dumps(nested)).packet_bytes == OusterFormat(metadata()).packet_bytes
 
 
 def _ip(payload, port=2368, identity=1, offset=0, more=False):
@@ -296,12 +183,12 @@ def _scan_message(packets):
 
 
 def test_a_ros_message_gives_its_packets():
-    packets = [_vls_packet(0.0), _vls_packet(0.6)]
+    packets = [vls_packet(0.0), vls_packet(0.6)]
     got = read_velodyne_scan(_scan_message(packets)[:-2])  # the last padding is not there
     assert got == [(3_000_000_000, packets[0]), (3_000_000_001, packets[1])]
 
 
-@pytest.mark.parametrize("message", [b"", b"\x00\x00" + bytes(40), _scan_message([_vls_packet(0.0)])[:500]])
+@pytest.mark.parametrize("message", [b"", b"\x00\x00" + bytes(40), _scan_message([vls_packet(0.0)])[:500]])
 def test_damaged_ros_messages_are_refused(message):
     with pytest.raises(CaptureError):
         read_velodyne_scan(message)
