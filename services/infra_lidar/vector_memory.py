@@ -20,6 +20,7 @@ from services.infra_lidar.vector_types import (
     Vector,
     as_intrinsic,
     lane_list,
+    spread_number,
 )
 
 _LONG, _BYTE = ir.IntType(64), ir.IntType(8)
@@ -92,8 +93,7 @@ def _copy_first(typing_context: Any, out: Any, to: Any, values: Any, at: Any, nu
             )
             for k in (0, 2)
         )
-        many = builder.insert_element(ir.Constant(INTS.llvm, ir.Undefined), args[4], ir.Constant(WORD, 0))
-        many = builder.shuffle_vector(many, many, lane_list([0] * LANES))
+        many = spread_number(context, builder, types.int32, INTS, args[4])
         chosen = builder.icmp_signed("<", lane_list(list(range(LANES))), many)
         name, void = f"v{LANES}{'f32' if kind == FLOATS else 'i32'}.p0", ir.VoidType()
         read = ir.FunctionType(kind.llvm, [address, WORD, flags, kind.llvm])
