@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import msgspec
+import msgspec.inspect
 
 Document = Mapping[str, Any]
 _ANY_NAME = "..."  # how msgspec writes a name of the user's choice, such as a host's
@@ -36,8 +37,33 @@ def explain(error: msgspec.ValidationError, document: Document, config_type: typ
         value = value[int(part)] if isinstance(value, list) else value.get(part)
     if isinstance(value, Mapping):  # a section as a whole: nobody wants to read all of it
         return f"[{'.'.join(parts)}] {text}" if parts else text
-    section = ".".join(parts[:-1])
-    return f"{f'[{section}] ' if section else ''}{parts[-1]} = {value!r}: {text}"
+    section, choices = ".".join(parts[:-1]), _choices(parts, config_type)
+    allowed = f"; allowed: {', '.join(choices)}" if choices and text.startswith("invalid enum value") else ""
+    return f"{f'[{section}] ' if section else ''}{parts[-1]} = {value!r}: {text}{allowed}"
+
+
+def _choices(parts: list[str], config_type: type[msgspec.Struct]) -> list[str]:
+    """What may stand at a place of the configuration, where it is one of a few values."""
+    kinds: list[Any] = [msgspec.inspect.type_info(config_type)]
+    for part in parts:
+        kinds = [inside for kind in kinds for inside in _inside(kind, part)]
+    return [repr(value) for kind in kinds for value in getattr(kind, "values", ())]
+
+
+def _inside(kind: Any, part: str) -> list[Any]:
+    """The types of one entry of a section, a list or a table; all that it may be."""
+    match kind:
+        case msgspec.inspect.StructType():
+            found = [field.type for field in kind.fields if field.encode_name == part]
+        case msgspec.inspect.DictType():
+            found = [kind.value_type]
+        case msgspec.inspect.ListType() | msgspec.inspect.VarTupleType():
+            found = [kind.item_type]
+        case msgspec.inspect.TupleType():
+            found = [kind.item_types[int(part)]]
+        case _:
+            found = []
+    return [one for type_ in found for one in getattr(type_, "types", (type_,))]
 
 
 def _named(parts: list[str], document: Document, config_type: type[msgspec.Struct], complaint: str) -> list[str]:

@@ -45,7 +45,7 @@ def test_file_over_defaults_and_overrides_over_file(tmp_path: Path) -> None:
         ("[cfar]\nthreshhold_db = 16", "[cfar] threshhold_db = 16: no such key; did you mean 'threshold_db'?"),
         ("[cfar]\nthreshold_db = 90", "[cfar] threshold_db = 90: expected `float` <= 60"),
         ("[cfar]\nthreshold_db = 'x'", "[cfar] threshold_db = 'x': expected `float`, got `str`"),
-        ("[cfar]\nkind = 'xx'", "[cfar] kind = 'xx': invalid enum value 'xx'"),
+        ("[cfar]\nkind = 'xx'", "[cfar] kind = 'xx': invalid enum value 'xx'; allowed: 'ca', 'os'"),
         ("gains_db = [1, 'b']", "gains_db"),
         ("gains_db = [1, 2, 3, 4]", "at most three"),
         ("host = 'Pi 0'", "host = 'Pi 0'"),
@@ -59,6 +59,28 @@ def test_refusals_name_file_key_value_and_allowed(tmp_path: Path, text: str, exp
         load(Example, path)
     assert str(path) in str(refusal.value)
     assert expected in str(refusal.value)
+
+
+class Choices(ServiceConfig, frozen=True, kw_only=True):
+    levels: tuple[Literal["low", "high"], ...] = ()
+    pair: tuple[int, Literal[4, 8]] = (1, 4)
+    hosts: dict[str, Cfar] = msgspec.field(default_factory=dict)
+    unset: Literal["yes", "no"] | None = None
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("levels = ['low', 'mid']", "allowed: 'high', 'low'"),
+        ("pair = [3, 5]", "allowed: 4, 8"),
+        ("[hosts.pi0]\nkind = 'xx'", "allowed: 'ca', 'os'"),
+        ("unset = 'maybe'", "allowed: 'no', 'yes'"),
+    ],
+)
+def test_choices_are_named_wherever_they_stand(tmp_path: Path, text: str, expected: str) -> None:
+    with pytest.raises(ConfigError) as refusal:
+        load(Choices, write(tmp_path, text))
+    assert str(refusal.value).endswith(expected)
 
 
 def test_a_wrong_override_is_blamed_on_the_command_line() -> None:
