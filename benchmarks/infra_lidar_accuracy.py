@@ -89,7 +89,7 @@ def ground_and_clusters(frames: list[Frame]) -> None:
             truth = (frame.actor == -2) & inside
             overlaps.append((levelled.ground & truth).sum() / ((levelled.ground | truth) & inside).sum())
             found = group.cluster(levelled)
-            _count_own(frame, inside, found.cluster_id, good, total)
+            _count_own(frame, inside, found.cluster_id(len(inside)), good, total)
         shares = ", ".join(f"{k} {good[k] / total[k]:.1%} of {total[k]}" for k in sorted(total))
         print(
             f"  {name:8} ground IoU median {np.median(overlaps):.3f}, least {min(overlaps):.3f}; own cluster: {shares}"
@@ -184,7 +184,7 @@ def _count_boxes(frame: LabelledFrame, counts: dict[tuple[str, str], Counter[str
         inside = frame.inside(k)
         if inside.sum() < MIN_POINTS:
             continue
-        ids = found.cluster_id[inside & ~levelled.ground]
+        ids = found.cluster_id(len(inside))[inside & ~levelled.ground]
         share = np.bincount(ids[ids >= 0], minlength=len(found)) / max(len(ids), 1)
         best, n = int(share.argmax()), counts[frame.data_set, label]
         own = share[best] >= 0.5 and share[best] * len(ids) > 0.5 * found.counts[best]

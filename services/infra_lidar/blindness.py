@@ -9,6 +9,7 @@ from typing import Literal
 
 from services.infra_lidar.config import BlindnessConfig
 
+_Typical = tuple[float, float, float, float]  # returns, near ones, beams, sectors
 USUAL_GAIN = 0.02  # how fast "usual" follows good frames
 
 
@@ -39,32 +40,30 @@ class BlindnessWatch:
     def __init__(self, config: BlindnessConfig) -> None:
         self._config = config
         self._recent: deque[tuple[Returns, FrameQuality, float]] = deque(maxlen=config.window_frames)
-        self._usual: tuple[float, float, float] | None = None  # returns, beams, sectors
+        self._usual: _Typical | None = None
 
     def judge(
         self, seen: Returns, quality: FrameQuality | None, total_ms: float, complaint: str
     ) -> tuple[Literal["online", "degraded"], str]:
         """State and reason after this frame; ``complaint`` is what calibration has to say."""
         self._recent.append((seen, quality or FrameQuality(), total_ms))
-        reasons = [complaint] if complaint else []
-        reasons += self._sight()
+        reasons, now = [complaint] if complaint else [], self._typical()
+        reasons += self._sight(now)
         if not reasons:
-            self._learn()
+            self._learn(now)
         reasons += self._losses()
         return ("degraded", "; ".join(reasons)) if reasons else ("online", "")
 
-    def _sight(self) -> list[str]:
-        config = self._config
-        returns, near = self._typical("returns"), self._typical("near")
-        beams, sectors = self._typical("beams"), self._typical("sectors")
-        reasons = []
+    def _sight(self, now: _Typical) -> list[str]:
+        config, reasons = self._config, []
+        returns, near, beams, sectors = now
         if returns < config.min_points:
             return [f"only {returns:.0f} returns a frame: covered, or switched off"]
         if near > config.max_near_share * returns:
             reasons.append(f"{near / returns:.0%} of the returns are within {config.near_m:g} m: rain, fog or dirt")
         if self._usual is None:
             return reasons
-        usual_returns, usual_beams, usual_sectors = self._usual
+        usual_returns, _, usual_beams, usual_sectors = self._usual
         if returns < config.min_points_share * usual_returns:
             reasons.append(f"{returns:.0f} returns a frame instead of {usual_returns:.0f}")
         if beams < (1.0 - config.max_lost_beams_share) * usual_beams:
@@ -87,13 +86,14 @@ class BlindnessWatch:
             reasons.append(f"processing takes {slow_ms:.0f} ms a frame, {config.budget_ms:g} are allowed")
         return reasons
 
-    def _learn(self) -> None:
-        now = self._typical("returns"), self._typical("beams"), self._typical("sectors")
+    def _learn(self, now: _Typical) -> None:
         if self._usual is None:
             self._usual = now
-        a, b, c = (old + USUAL_GAIN * (new - old) for old, new in zip(self._usual, now, strict=True))
-        self._usual = a, b, c
+        a, b, c, d = (old + USUAL_GAIN * (new - old) for old, new in zip(self._usual, now, strict=True))
+        self._usual = a, b, c, d
 
-    def _typical(self, what: str) -> float:
-        """Median over the last frames of a count of ``Returns``."""
-        return float(median([getattr(seen, what) for seen, _, _ in self._recent]))
+    def _typical(self) -> _Typical:
+        """Medians over the last frames of what was counted."""
+        counts = zip(*((seen.returns, seen.near, seen.beams, seen.sectors) for seen, _, _ in self._recent), strict=True)
+        returns, near, beams, sectors = map(median, counts)
+        return returns, near, beams, sectors

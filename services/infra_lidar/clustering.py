@@ -23,14 +23,13 @@ from services.infra_lidar.ground import Levelled
 class ClusterPoints:
     """Clusters of one frame in the level frame.
 
-    cluster_id: (N,) int32 per point of the frame, -1 = none. planar: (3, M) float32 x, y, z, grouped; cluster k has
-    planar[:, offsets[k]:offsets[k + 1]], and behind the last row there is room for a vector. offsets: (K + 1,) int32.
-    box: (K, 8) float32: centre x, y, z, length, width, height, yaw, gap to the road. Only ``cluster_id`` is a view into
-    a buffer, valid until the next frame.
+    planar: (3, M) float32 x, y, z, grouped; cluster k has planar[:, offsets[k]:offsets[k + 1]], and behind the last row
+    there is room for a vector. members: (M,) int32, the index of these points in the frame. offsets: (K + 1,) int32.
+    box: (K, 8) float32: centre x, y, z, length, width, height, yaw, gap to the road.
     """
 
-    cluster_id: np.ndarray
     planar: np.ndarray
+    members: np.ndarray
     offsets: np.ndarray
     box: np.ndarray
 
@@ -47,12 +46,23 @@ class ClusterPoints:
         """(K,) points per cluster."""
         return np.diff(self.offsets)
 
+    def cluster_id(self, n: int) -> np.ndarray:
+        """(N,) int32: the cluster of each point of a frame of n, -1 = none."""
+        return of_points(self.members, self.offsets, n)
+
     @property
     def means(self) -> np.ndarray:
         """(K, 3) float64, the mean of each cluster's points."""
         means = np.empty((len(self), 3))
         clusters.means(self.planar, self.offsets, means)
         return means
+
+
+def of_points(members: np.ndarray, offsets: np.ndarray, n: int) -> np.ndarray:
+    """(N,) int32: the cluster of each point of a frame of n, -1 = none; members and offsets as in ``ClusterPoints``."""
+    of_point = np.full(n, -1, np.int32)
+    of_point[members] = np.repeat(np.arange(len(offsets) - 1, dtype=np.int32), np.diff(offsets))
+    return of_point
 
 
 class Clustering:
@@ -78,14 +88,13 @@ class Clustering:
         """Group the points of a frame that are not ground."""
         m, take = len(frame.rest), self._buffers.take
         room = m + -m % LINE_FLOATS + LINE_FLOATS
-        cluster_id = take("cluster_id", len(frame.x), np.int32)
         found = kernels.find_clusters(
             np.ascontiguousarray(frame.points), m, frame.rest, self._settings, self._look, self._scales,
             take("cluster_ints", kernels.INTS * room, np.int32).reshape(kernels.INTS, room),
             take("cluster_floats", kernels.FLOATS * room, np.float32).reshape(kernels.FLOATS, room),
-            self._grid, self._touched, self._row_start, cluster_id,
+            self._grid, self._touched, self._row_start,
         )  # fmt: skip
-        return ClusterPoints(cluster_id, *found)
+        return ClusterPoints(*found)
 
 
 def _settings(config: ClusteringConfig, per_m: np.float32) -> np.record:

@@ -24,8 +24,9 @@ END_BIN_M = 0.1
 class Levelled:
     """One frame in the level frame: planar float32 views into buffers, valid until the next frame.
 
-    ground: (N,) bool. cell: (N,) int16 polar cell, -1 = clipped. rest: (M,) int32 indices of the points that are inside
-    the limits and not ground. points: (4, M or more) float32, their x, y, z and height above the local road.
+    ground: (N,) bool. cell: (N,) int16 polar cell, -1 = clipped. rest: (M,) int32 indices, in the whole frame, of the
+    points that are inside the limits and not ground. points: (4, M or more) float32, their x, y, z and height above
+    the local road.
     """
 
     x: np.ndarray
@@ -77,14 +78,17 @@ class Ground:
         frame.rest = frame.rest[:m]
         return frame
 
-    def remove_known(self, sensor: np.ndarray, n: int, T_level_sensor: np.ndarray, surface: np.ndarray) -> Levelled:
-        """The same with a road that is known already: for the few points that are left of a frame, n of them, planar
-        (3, n or more) float32."""
+    def remove_known(
+        self, sensor: np.ndarray, source: np.ndarray, T_level_sensor: np.ndarray, surface: np.ndarray,
+        of_all: np.ndarray,
+    ) -> Levelled:  # fmt: skip
+        """The same with a road that is known already: for the few points that are left of a frame, planar (3, n or
+        more) float32, with their index ``source`` (n,) in it. Which are ground is written to ``of_all`` (N,) bool."""
         self.surface[:] = surface
-        frame = self._room(n)
+        frame = self._room(len(source))
         m = kernels.find_known(
-            sensor, n, T_level_sensor.astype(np.float32), self._settings, self.surface, frame.x, frame.y, frame.z,
-            frame.cell, frame.ground, frame.points, frame.rest,
+            sensor, source, T_level_sensor.astype(np.float32), self._settings, self.surface, frame.x, frame.y, frame.z,
+            frame.cell, frame.ground, frame.points, frame.rest, of_all,
         )  # fmt: skip
         frame.rest = frame.rest[:m]
         return frame

@@ -221,10 +221,3 @@ def sift(points, columns, rows, packed, near_m, known, ground, source, fresh):  
                 store_chosen(source, m, lanes() + np.int32(start + i), unusual)
                 m += found
     return m, lane_sum(returns), lane_sum(near)
-
-
-@kernel
-def put_back(values, source, whole):  # type: ignore[no-untyped-def]
-    """Write what was found for the M points ``source`` (M,) of a frame where they stand in it, whole (N,)."""
-    for i in range(len(source)):
-        whole[np.uint32(source[i])] = values[i]

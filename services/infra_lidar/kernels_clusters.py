@@ -167,32 +167,31 @@ def possible(box, offsets, s, label):  # type: ignore[no-untyped-def]
 
 
 @inner
-def take_out(grouped, offsets, source, box, label, cluster_id):  # type: ignore[no-untyped-def]
+def take_out(grouped, offsets, source, box, label):  # type: ignore[no-untyped-def]
     """Copies of the clusters whose label (K,) is not negative: planar (3, T) of their points, with room for a vector
-    behind it, offsets, and box. cluster_id (N,) of the frame is written."""
+    behind it, their ``source`` (T,), offsets, and box."""
     count, total = 0, 0
     for k in range(len(label)):
         if label[k] >= 0:
             count += 1
             total += offsets[k + 1] - offsets[k]
     planar = np.empty(3 * total + LANES, np.float32)[: 3 * total].reshape(3, total)
-    begins, boxes = np.zeros(count + 1, np.int32), np.empty((count, 8), np.float32)
-    cluster_id[:] = -1
+    begins, boxes, members = np.zeros(count + 1, np.int32), np.empty((count, 8), np.float32), np.empty(total, np.int32)
     number, to = 0, 0
     for k in range(len(label)):
         if label[k] < 0:
             continue
         first, n = offsets[k], offsets[k + 1] - offsets[k]
-        for i in range(first, first + n):
-            cluster_id[np.uint32(source[i])] = number
-        for row in range(3):
-            for i in range(0, n, LANES):
-                copy_first(planar[row], to + i, grouped[row], first + i, np.int32(n - i))
+        for i in range(0, n, LANES):
+            a, b, left = to + i, first + i, np.int32(n - i)
+            for row in range(3):
+                copy_first(planar[row], a, grouped[row], b, left)
+            copy_first(members, a, source, b, left)
         for column in range(8):
             boxes[number, column] = box[k, column]
         number, to = number + 1, to + n
         begins[number] = to
-    return planar, begins, boxes
+    return planar, members, begins, boxes
 
 
 @sum_kernel

@@ -69,11 +69,17 @@ def find_ground(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def find_known(sensor, n, T, s, surface, x, y, z, cell, ground, others, rest):  # type: ignore[no-untyped-def]
-    """The same with a road that is known already, surface (cells, 3), for n returns that are planar already, sensor
-    (3, n or more) float32, and not counted. Returns M."""
-    level_planar(sensor, n, T, s, x, y, z, cell)
-    return label_ground(x, y, z, cell, surface, s, ground, others, rest)
+def find_known(sensor, source, T, s, surface, x, y, z, cell, ground, others, rest, of_all):  # type: ignore[no-untyped-def]
+    """The same with a road that is known already, surface (cells, 3), for returns that are planar already, sensor
+    (3, n or more) float32, and not counted; their index in the whole frame, source (n,), goes to rest, and whether they
+    are ground to ``of_all`` (N,) bool, too. Returns M."""
+    level_planar(sensor, len(source), T, s, x, y, z, cell)
+    m = label_ground(x, y, z, cell, surface, s, ground, others, rest)
+    for i in range(len(source)):
+        of_all[np.uint32(source[i])] = ground[i]
+    for i in range(m):
+        rest[i] = source[np.uint32(rest[i])]
+    return m
 
 
 def bin_place(height_m: float) -> float:

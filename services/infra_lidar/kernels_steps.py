@@ -30,15 +30,15 @@ MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by: they can on
 
 
 @kernel
-def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touched, row_start, cluster_id):  # type: ignore[no-untyped-def]
+def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touched, row_start):  # type: ignore[no-untyped-def]
     """Clusters of m points (4, m or more) float32, x, y, z and height above the road, with index ``source`` (m,) in the
     frame.
 
     s: a record of ``SETTINGS``; look: one of ``LOOK`` for the article's second look, else None. scales: of a
     ``CellGrid``. ints (INTS, m + 1 or more) int32 and floats (FLOATS, m or more) float32 are scratch, with room for a
-    vector more; grid, touched and row_start as in ``kernels_labels``. cluster_id (N,) int32 is written.
-    Returns copies: planar (3, T) float32 of the points by cluster, with room for a vector behind it, offsets (K + 1,)
-    int32, box (K, 8) float32.
+    vector more; grid, touched and row_start as in ``kernels_labels``.
+    Returns copies: planar (3, T) float32 of the points by cluster, with room for a vector behind it, members (T,)
+    int32, their index in the frame, offsets (K + 1,) int32, box (K, 8) float32.
     """
     # Components of cells that are occupied as low as a body; what is higher joins tall ones, or is on its own
     begin, label, across = ints[0], ints[1], ints[2]
@@ -86,7 +86,7 @@ def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touche
         )  # fmt: skip
         grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
         label = np.zeros(count, np.int32)  # all of them
-    return take_out(grouped, offsets, index, box, label, cluster_id)
+    return take_out(grouped, offsets, index, box, label)
 
 
 @inner

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from common.geometry import invert, transform_points
-from common.messages import ObjectTracks
+from common.geometry import invert
 from common.stopwatch import Stopwatch
 from services.infra_lidar.background import BackgroundModel
 from services.infra_lidar.blindness import BlindnessWatch, FrameQuality
 from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.calibration import Calibration
 from services.infra_lidar.calibration_keeper import CalibrationKeeper
-from services.infra_lidar.classes import BACKGROUND, CLASSES, LABELS
+from services.infra_lidar.classes import BACKGROUND
 from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
@@ -82,29 +81,23 @@ class InfraLidarPipeline:
 
         # 5. Who is it, and where does it go? In the map frame.
         T_map_level = self._map_from_level(calibration)
-        tracks = self.tracker.update(stamp_ns, self._detections(clusters, found, T_map_level))
+        self.tracker.step(stamp_ns, self._detections(clusters, found, T_map_level))
+        tracks = self.tracker.told()
         watch.lap("track")
 
         # 6. Learn the fixed scene, as long as it is not known. Then: can the sensor see at all?
-        cluster_id = parted.spread(found.cluster_id)
-        known = None
-        if self.config.background.enabled and parted.source is None:  # a sifted frame teaches nothing
-            known = self.scene.learn(stamp_ns, points, parted, _road_user(clusters, cluster_id))
-        if known is not None:
-            self.tracker.forget(_vanished(known, cluster_id, len(clusters)))  # every other track keeps its id
+        if self.config.background.enabled and not parted.sifted:  # a sifted frame teaches nothing
+            known = self.scene.learn(stamp_ns, points, parted, _road_user(clusters, len(points)))
+            if known is not None:
+                self.tracker.forget(_vanished(known, clusters))  # every other track keeps its id
         watch.lap("learn")
         total_ms = sum(watch.stage_ms.values())
         state, reason = self.blindness.judge(parted.seen, quality, total_ms, self.calibration.complaint)
 
-        message = ObjectTracks(
-            stamp_ns=stamp_ns, frame_id=self.config.frame_id, received_ns=received_ns, state=state, reason=reason,
-            stage_ms=watch.stage_ms, tracks=[track for track in tracks if track.label != CLASSES[BACKGROUND]],
-            points_in=len(points), clusters=len(clusters),
-        )  # fmt: skip
         return FrameResult(
-            stamp_ns=stamp_ns, points=points, ground=parted.ground, cluster_id=cluster_id,
-            background=parted.background, clusters=clusters, tracks=message, calibration=calibration,
-            T_map_level=T_map_level, stage_ms=watch.stage_ms,
+            stamp_ns=stamp_ns, received_ns=received_ns, frame_id=self.config.frame_id, state=state, reason=reason,
+            points=points, ground=parted.ground, background=parted.background, clusters=clusters, table=tracks,
+            calibration=calibration, T_map_level=T_map_level, stage_ms=watch.stage_ms,
         )  # fmt: skip
 
     def _classify(self, parted: Parted, found: ClusterPoints) -> ClusterSet:
@@ -114,19 +107,18 @@ class InfraLidarPipeline:
         )
         index[self.scene.structural(parted, found, road_z_m)] = BACKGROUND
         return ClusterSet(
-            labels=[LABELS[i] for i in index], confidences=confidence, probabilities=probabilities,
-            boxes=found.box[:, :7], features=features, counts=found.counts, ground_z_m=road_z_m,
+            classes=index, confidences=confidence, probabilities=probabilities, boxes=found.box[:, :7],
+            features=features, offsets=found.offsets, members=found.members, ground_z_m=road_z_m,
         )  # fmt: skip
 
     def _detections(self, clusters: ClusterSet, found: ClusterPoints, T_map_level: np.ndarray) -> Detections:
         """All clusters in the map frame: background keeps tracks alive that the forest gave up for a moment."""
-        turn = np.arctan2(T_map_level[1, 0], T_map_level[0, 0])
-        boxes = clusters.boxes.astype(np.float64)
+        boxes = clusters.boxes
         centre = found.means if self.config.tracking.boxes == "centroid" else boxes[:, :3]
         return Detections(
-            position_m=transform_points(T_map_level, centre), size_m=boxes[:, 3:6], yaw_rad=boxes[:, 6] + turn,
-            labels=clusters.labels, confidence=clusters.confidences, points=clusters.counts,
-            probabilities=clusters.probabilities,
+            position_m=centre, size_m=boxes[:, 3:6], yaw_rad=boxes[:, 6], labels=clusters.classes,
+            confidence=clusters.confidences, points=clusters.counts, probabilities=clusters.probabilities,
+            T_map_source=T_map_level,
         )  # fmt: skip
 
     def _map_from_level(self, calibration: Calibration) -> np.ndarray:
@@ -143,14 +135,15 @@ def _checked(points: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(points, dtype=np.float32)
 
 
-def _road_user(clusters: ClusterSet, cluster_id: np.ndarray) -> np.ndarray:
+def _road_user(clusters: ClusterSet, n: int) -> np.ndarray:
     """(N,) bool: points of clusters that are road users for all we can tell."""
-    sure = clusters.confidences >= SURE
-    user = np.array([label != CLASSES[BACKGROUND] for label in clusters.labels], bool) & sure
-    return np.asarray(np.append(user, False)[cluster_id])  # the last one is for id -1
+    user, of_point = (clusters.classes != BACKGROUND) & (clusters.confidences >= SURE), np.zeros(n, bool)
+    of_point[clusters.members] = np.repeat(user, clusters.counts)
+    return of_point
 
 
-def _vanished(known: np.ndarray, cluster_id: np.ndarray, count: int) -> np.ndarray:
-    """(count,) bool: clusters of which more than a tenth is fixed scene, ``known`` (N,), and not seen any more."""
-    total = np.bincount(cluster_id + 1, minlength=count + 1)[1:]
-    return np.asarray(np.bincount(cluster_id[known] + 1, minlength=count + 1)[1:] > 0.1 * total)
+def _vanished(known: np.ndarray, clusters: ClusterSet) -> np.ndarray:
+    """(K,) bool: clusters of which more than a tenth is fixed scene, ``known`` (N,), and not seen any more."""
+    of_cluster = np.repeat(np.arange(len(clusters)), clusters.counts)
+    seen_no_more = np.bincount(of_cluster, known[clusters.members], minlength=len(clusters))
+    return np.asarray(seen_no_more > 0.1 * clusters.counts)

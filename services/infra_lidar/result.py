@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
 from common.geometry import transform_points
 from common.messages import Cluster, Clusters, ObjectTracks, PointCloud
 from services.infra_lidar.calibration import Calibration
+from services.infra_lidar.classes import BACKGROUND as BACKGROUND_CLASS
+from services.infra_lidar.classes import LABELS
+from services.infra_lidar.clustering import of_points
+from services.infra_lidar.tracking_life import TrackTable
 
 OTHER, GROUND, CLUSTERED, BACKGROUND = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
 
@@ -17,41 +23,70 @@ OTHER, GROUND, CLUSTERED, BACKGROUND = np.uint8(0), np.uint8(1), np.uint8(2), np
 class ClusterSet:
     """K clusters in the level frame.
 
-    labels: K class names. confidences: (K,) of that class, probabilities: (K, C). boxes: (K, 7) float32: centre x, y,
-    z, length, width, height (m) and yaw (rad). features: (K, F) float32. counts: (K,) points. ground_z_m:
-    (K,) height of the local road.
+    classes: (K,) int, index into ``LABELS``. confidences: (K,) of that class, probabilities: (K, C). boxes: (K, 7)
+    float32: centre x, y, z, length, width, height (m) and yaw (rad). features: (K, F) float32. offsets: (K + 1,) and
+    members (M,): the points of cluster k are ``members[offsets[k]:offsets[k + 1]]`` of the frame's. ground_z_m: (K,)
+    height of the local road.
     """
 
-    labels: list[str]
+    classes: np.ndarray
     confidences: np.ndarray
     probabilities: np.ndarray
     boxes: np.ndarray
     features: np.ndarray
-    counts: np.ndarray
+    offsets: np.ndarray
+    members: np.ndarray
     ground_z_m: np.ndarray
 
     def __len__(self) -> int:
-        return len(self.labels)
+        return len(self.classes)
+
+    @property
+    def labels(self) -> list[str]:
+        """K class names."""
+        return [LABELS[i] for i in self.classes]
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """(K,) points."""
+        return np.diff(self.offsets)
 
 
 @dataclass(frozen=True)
 class FrameResult:
     """Everything known about one frame of N points.
 
-    ground: (N,) bool. cluster_id: (N,) int32, index into ``clusters``, -1 = none. background: (N,) bool, returns of the
-    learned fixed scene. T_level_sensor, T_map_level: (4, 4) float64. tracks are in the map frame.
+    ground: (N,) bool. background: (N,) bool, returns of the learned fixed scene. table: all tracks, in the map frame.
+    T_level_sensor, T_map_level: (4, 4) float64. What not everybody asks for is made when somebody does.
     """
 
     stamp_ns: int
+    received_ns: int
+    frame_id: str
+    state: Literal["online", "degraded"]
+    reason: str
     points: np.ndarray
     ground: np.ndarray
-    cluster_id: np.ndarray
     background: np.ndarray
     clusters: ClusterSet
-    tracks: ObjectTracks
+    table: TrackTable
     calibration: Calibration
     T_map_level: np.ndarray
-    stage_ms: dict[str, float] = field(default_factory=dict)
+    stage_ms: dict[str, float]
+
+    @cached_property
+    def cluster_id(self) -> np.ndarray:
+        """(N,) int32, index into ``clusters``, -1 = none."""
+        return of_points(self.clusters.members, self.clusters.offsets, len(self.points))
+
+    @cached_property
+    def tracks(self) -> ObjectTracks:
+        """The message of all road users, in the map frame."""
+        return ObjectTracks(
+            stamp_ns=self.stamp_ns, frame_id=self.frame_id, received_ns=self.received_ns, state=self.state,
+            reason=self.reason, stage_ms=self.stage_ms, tracks=self.table.without(BACKGROUND_CLASS).messages(),
+            points_in=len(self.points), clusters=len(self.clusters),
+        )  # fmt: skip
 
     @property
     def T_level_sensor(self) -> np.ndarray:
@@ -83,8 +118,8 @@ class FrameResult:
         ]
         return Clusters(
             stamp_ns=self.stamp_ns,
-            frame_id=self.tracks.frame_id,
-            received_ns=self.tracks.received_ns,
+            frame_id=self.frame_id,
+            received_ns=self.received_ns,
             clusters=items[:5000],
         )
 
@@ -99,8 +134,8 @@ class FrameResult:
         intensity = points[:, 3] if points.shape[1] > 3 else np.zeros(len(points))
         return PointCloud(
             stamp_ns=self.stamp_ns,
-            frame_id=self.tracks.frame_id,
-            received_ns=self.tracks.received_ns,
+            frame_id=self.frame_id,
+            received_ns=self.received_ns,
             points=transform_points(self.T_map_sensor, points[:, :3]).astype(np.float32),
             intensity=np.clip(intensity, 0, 255).astype(np.uint8),
             kind=kind,

@@ -14,7 +14,6 @@ from services.infra_lidar.calibration_keeper import CalibrationKeeper
 from services.infra_lidar.clustering import ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.ground import Ground, Levelled
-from services.infra_lidar.kernels_background import put_back
 from services.infra_lidar.kernels_ground import beams_seen
 from services.infra_lidar.structure import StructureMap
 
@@ -23,23 +22,14 @@ WATCH_EVERY = 7  # of the points, odd: so that every beam is among them
 
 @dataclass(frozen=True)
 class Parted:
-    """frame: the points to work on, level frame, valid until the next frame. source: their index among the N points of
-    the whole frame, None = they are all of them. ground, background: (N,) bool of the whole frame. seen: what counts.
-    """
+    """frame: the points to work on, level frame, valid until the next frame. sifted: whether they are not all N points
+    of the frame. ground, background: (N,) bool of the whole frame. seen: what counts."""
 
     frame: Levelled
-    source: np.ndarray | None
+    sifted: bool
     ground: np.ndarray
     background: np.ndarray
     seen: Returns
-
-    def spread(self, cluster_id: np.ndarray) -> np.ndarray:
-        """(N,) int32 cluster of every point of the whole frame, from those of ``frame``."""
-        if self.source is None:
-            return cluster_id.copy()
-        whole = np.full(len(self.ground), -1, np.int32)
-        put_back(cluster_id, self.source, whole)
-        return whole
 
 
 class Scene:
@@ -66,7 +56,7 @@ class Scene:
         if calibration.refused:
             nothing = self.ground.remove(points[:0], calibration.T_level_sensor)
             no = np.zeros(len(points), bool)
-            return Parted(nothing, np.zeros(0, np.int32), no, no, Returns(len(points), len(points), 0, 0, 0))
+            return Parted(nothing, True, no, no, Returns(len(points), len(points), 0, 0, 0))
         sifted = self._sift(points)
         if sifted is None:
             return self._whole(stamp_ns, points, calibration)
@@ -78,7 +68,7 @@ class Scene:
         Returns (N,) bool, the points that are background from now on, when this frame ended the learning; else None.
         """
         ready = self._config.background.enabled and self._keeper.settled and self._complete
-        if not ready or parted.source is not None:
+        if not ready or parted.sifted:
             return None
         if self.background.lost:
             self.background.restart()
@@ -95,7 +85,7 @@ class Scene:
     def structural(self, parted: Parted, found: ClusterPoints, ground_z_m: np.ndarray) -> np.ndarray:
         """(K,) bool: clusters of a sifted frame that lie within fixed structure; none of a whole frame do."""
         model = self.background.model
-        if parted.source is None or model is None or not model.structure.size:
+        if not parted.sifted or model is None or not model.structure.size:
             return np.zeros(len(found), bool)
         return self._structure.inside(model.structure, found, ground_z_m)
 
@@ -119,7 +109,7 @@ class Scene:
         frame = self.ground.remove(points, calibration.T_level_sensor)
         self._look_after(stamp_ns, points[::WATCH_EVERY], frame)
         seen = Returns(len(points), frame.returns, frame.near, self._beam_count, self._sector_count)
-        return Parted(frame, None, frame.ground.copy(), np.zeros(len(points), bool), seen)
+        return Parted(frame, False, frame.ground.copy(), np.zeros(len(points), bool), seen)
 
     def _rest(self, stamp_ns: int, points: np.ndarray, sifted: Sifted, calibration: Calibration) -> Parted:
         assert self.background.model is not None
@@ -127,11 +117,10 @@ class Scene:
             sample = np.ascontiguousarray(points[::WATCH_EVERY])
             self._look_after(stamp_ns, sample, self.ground.look(sample, calibration.T_level_sensor))
         frame = self.ground.remove_known(
-            sifted.fresh, len(sifted.source), calibration.T_level_sensor, self.background.model.surface
+            sifted.fresh, sifted.source, calibration.T_level_sensor, self.background.model.surface, sifted.ground
         )
-        put_back(frame.ground, sifted.source, sifted.ground)
         seen = Returns(len(points), sifted.returns, sifted.near, self._beam_count, self._sector_count)
-        return Parted(frame, sifted.source, sifted.ground, sifted.known, seen)
+        return Parted(frame, True, sifted.ground, sifted.known, seen)
 
     def _look_after(self, stamp_ns: int, sample: np.ndarray, frame: Levelled) -> None:
         """Count the beams of a sample and the directions of a frame or of the sample, and watch for a nudge."""

@@ -8,7 +8,7 @@ moves at all (``tracking_shape``). Lifetimes are seconds, not frames. No clock, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import get_args
 
 import numpy as np
@@ -18,7 +18,7 @@ from services.infra_lidar.classes import CLASSES, LABELS
 from services.infra_lidar.tracking_assign import associate
 from services.infra_lidar.tracking_config import TrackingConfig
 from services.infra_lidar.tracking_filter import DETECTION, TRACK, TRAIL, parameters
-from services.infra_lidar.tracking_life import messages
+from services.infra_lidar.tracking_life import TrackTable, tell
 from services.infra_lidar.tracking_split import cut_groups
 from services.infra_lidar.tracking_step import advance, candidates, conclude, describe, keep
 
@@ -30,20 +30,22 @@ _NO_POINTS, _NO_CHANCES = np.zeros(0, np.int64), np.zeros((0, len(CLASSES)))
 
 @dataclass(frozen=True)
 class Detections:
-    """K boxes of one frame, metres and radians, map frame.
+    """K boxes of one frame, metres and radians.
 
     ``position_m`` (K, 3) centre, ``size_m`` (K, 3) length, width, height, ``yaw_rad`` (K,), ``labels`` (K,) of
-    ``LABELS``, ``confidence`` (K,) in 0..1, ``points`` (K,) or None, ``probabilities`` (K, C) over ``CLASSES`` or
-    None (then they follow from label and confidence).
+    ``LABELS`` or their index in it, ``confidence`` (K,) in 0..1, ``points`` (K,) or None, ``probabilities`` (K, C) over
+    ``CLASSES`` or None (then they follow from label and confidence), ``T_map_source`` (4, 4): their frame, upright, in
+    the map frame.
     """
 
     position_m: np.ndarray
     size_m: np.ndarray
     yaw_rad: np.ndarray
-    labels: Sequence[str]
+    labels: Sequence[str] | np.ndarray
     confidence: np.ndarray
     points: np.ndarray | None = None
     probabilities: np.ndarray | None = None
+    T_map_source: np.ndarray = field(default_factory=lambda: np.eye(4))
 
     def __post_init__(self) -> None:
         count = len(self.labels)
@@ -52,24 +54,28 @@ class Detections:
             ("size_m", (count, 3)),
             ("yaw_rad", (count,)),
             ("confidence", (count,)),
+            ("T_map_source", (4, 4)),
         ):
             value = np.asarray(getattr(self, name))
             if value.shape != shape:
                 check_shape(self, name, value, *shape)
-        if not _LABEL_INDEX.keys() >= set(self.labels):
-            unknown = sorted(set(self.labels) - _LABEL_INDEX.keys())
+        known = range(len(LABELS)) if isinstance(self.labels, np.ndarray) else _LABEL_INDEX.keys()
+        if not set(known).issuperset(self.labels):
+            unknown = sorted(set(self.labels) - set(known))
             raise ValueError(f"labels: {unknown} not among {', '.join(LABELS)}")
 
     def records(self) -> np.ndarray:
         """(K,) ``DETECTION``: what the kernels work on."""
-        made = np.empty(len(self.labels), DETECTION)
-        label = np.fromiter(map(_LABEL_INDEX.__getitem__, self.labels), np.int64, len(made))
+        made, label = np.empty(len(self.labels), DETECTION), self.labels
+        if not isinstance(label, np.ndarray):
+            label = np.fromiter(map(_LABEL_INDEX.__getitem__, label), np.int64, len(made))
         points = _NO_POINTS if self.points is None else np.ascontiguousarray(self.points, np.int64)
         chances = _NO_CHANCES if self.probabilities is None else self.probabilities
-        position, size, yaw, confidence = (
-            np.ascontiguousarray(a, np.float64) for a in (self.position_m, self.size_m, self.yaw_rad, self.confidence)
+        position, size, yaw, confidence, chances, T = (
+            np.ascontiguousarray(a, np.float64)
+            for a in (self.position_m, self.size_m, self.yaw_rad, self.confidence, chances, self.T_map_source)
         )
-        describe(position, size, yaw, label, confidence, points, np.ascontiguousarray(chances, np.float64), made)
+        describe(position, size, yaw, np.ascontiguousarray(label, np.int64), confidence, points, chances, T, made)
         return made
 
 
@@ -133,7 +139,11 @@ class MultiObjectTracker:
 
     def messages(self) -> list[ObjectTrack]:
         """All tracks as of the last frame."""
-        return messages(self._tracks, self._stamp_ns, self._config.min_vote)
+        return self.told().messages()
+
+    def told(self) -> TrackTable:
+        """The same as numbers."""
+        return tell(self._tracks, self._stamp_ns, self._config.min_vote)
 
     def forget(self, vanished: np.ndarray) -> None:
         """Drop the tracks that stand and whose detection of the last frame, (K,) bool, will not be seen again, or that

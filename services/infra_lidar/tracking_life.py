@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -91,20 +92,39 @@ def _describe(tracks: np.ndarray, stamp_ns: int, min_vote: float, numbers: np.nd
         counts[3, t] = 0 if lost else track.points
 
 
-def messages(tracks: np.ndarray, stamp_ns: int, min_vote: float) -> list[ObjectTrack]:
-    """What others are told: one message a track, in their order."""
+@dataclass(frozen=True)
+class TrackTable:
+    """N tracks as of a frame: ``numbers`` (13, N) and ``counts`` (4, N) as ``_describe`` writes them, ``covariance``
+    (N, 6, 6) of position and velocity."""
+
+    numbers: np.ndarray
+    counts: np.ndarray
+    covariance: np.ndarray
+
+    def without(self, label: int) -> TrackTable:
+        """Those that are not taken for ``label``, index into ``LABELS``."""
+        kept = self.counts[1] != label
+        return TrackTable(self.numbers[:, kept], self.counts[:, kept], self.covariance[kept])
+
+    def messages(self) -> list[ObjectTrack]:
+        """What others are told: one message a track, in their order."""
+        x, y, z, vx, vy, vz, length, width, height, yaws, ages, scores, shares = self.numbers.tolist()
+        ids, labels, states, points = self.counts.tolist()
+        columns = zip(
+            ids, labels, shares, zip(x, y, z, strict=True), zip(vx, vy, vz, strict=True), self.covariance.tolist(),
+            zip(length, width, height, strict=True), yaws, ages, scores, states, points, strict=True,
+        )  # fmt: skip
+        return [
+            ObjectTrack(
+                track_id=track_id, label=LABELS[label], label_confidence=share, position_m=place, velocity_mps=speed,
+                covariance=cov, size_m=size, yaw_rad=yaw, age_s=age, score=score, state=_STATES[state], points=seen,
+            )
+            for track_id, label, share, place, speed, cov, size, yaw, age, score, state, seen in columns
+        ]  # fmt: skip
+
+
+def tell(tracks: np.ndarray, stamp_ns: int, min_vote: float) -> TrackTable:
+    """The tracks at ``stamp_ns``; one whose class has less than ``min_vote`` of the votes is unknown."""
     numbers, counts = np.empty((13, len(tracks))), np.empty((4, len(tracks)), np.int64)
     _describe(tracks, stamp_ns, min_vote, numbers, counts)
-    x, y, z, vx, vy, vz, length, width, height, yaws, ages, scores, shares = numbers.tolist()
-    ids, labels, states, points = counts.tolist()
-    columns = zip(
-        ids, labels, shares, zip(x, y, z, strict=True), zip(vx, vy, vz, strict=True), tracks["cov"].tolist(),
-        zip(length, width, height, strict=True), yaws, ages, scores, states, points, strict=True,
-    )  # fmt: skip
-    return [
-        ObjectTrack(
-            track_id=track_id, label=LABELS[label], label_confidence=share, position_m=place, velocity_mps=speed,
-            covariance=cov, size_m=size, yaw_rad=yaw, age_s=age, score=score, state=_STATES[state], points=seen,
-        )
-        for track_id, label, share, place, speed, cov, size, yaw, age, score, state, seen in columns
-    ]  # fmt: skip
+    return TrackTable(numbers, counts, tracks["cov"].copy())

@@ -13,7 +13,7 @@ import numpy as np
 
 from services.infra_lidar.classes import CLASSES
 from services.infra_lidar.jit import inner, kernel
-from services.infra_lidar.ordering import rising
+from services.infra_lidar.ordering import places_of, rising
 from services.infra_lidar.tracking_overlap import all_votes
 
 _CYCLIST, _PEDESTRIAN = CLASSES.index("cyclist"), CLASSES.index("pedestrian")
@@ -30,36 +30,44 @@ def cut_groups(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, 
 
     A piece has the class chances of its track: a cluster of several says nothing about one. Nothing cut: unchanged.
     """
-    source, owner, low, high = _cuts(tracks, detections)
-    if not len(source):
-        return detections, None
-    pieces, length = detections[source], detections["size"][source].max(axis=1)
-    lengthwise = pieces["size"][:, 0] >= pieces["size"][:, 1]
-    heading = pieces["yaw"] + np.where(lengthwise, 0.0, 0.5 * np.pi)
-    middle = 0.5 * (low + high)
-    pieces["position"][:, 0] += middle * np.cos(heading)
-    pieces["position"][:, 1] += middle * np.sin(heading)
-    pieces["size"][np.arange(len(pieces)), np.where(lengthwise, 0, 1)] = high - low
-    pieces["points"] = (pieces["points"] * (high - low) / length).astype(np.int64)
-    pieces["chances"] = tracks["votes"][owner] / tracks["votes"][owner].sum(axis=1, keepdims=True)
-    pieces["label"] = tracks["label"][owner]
-    whole = np.setdiff1d(np.arange(len(detections)), source)
-    return np.concatenate((detections[whole], pieces)), np.concatenate((whole, source))
+    cut, source = _cut_all(tracks, detections)
+    return (cut, source) if len(source) else (detections, None)
 
 
 @kernel
-def _cuts(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Pieces: index of the detection, of its track, and where it begins and ends along the long side, from the middle
-    (m)."""
-    who, number = np.empty(len(tracks), np.int64), 0
+def _cut_all(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What is whole, then the pieces, and the index of the detection that each came from; nothing where none is cut."""
+    who, people = np.empty(len(tracks), np.int64), 0
     for t in range(len(tracks)):
-        who[number] = t
-        number += _is_person(tracks[t])
-    room = _MOST * len(detections) if number >= 2 else 0
+        who[people] = t
+        people += _is_person(tracks[t])
+    source, owner, low, high = _cuts(tracks, detections, who[: people if people >= 2 else 0])
+    whole = np.ones(len(detections), np.bool_)
+    for d in source:
+        whole[d] = False
+    kept = places_of(whole)
+    number = len(kept) + len(source) if len(source) else 0
+    made, origin = np.empty(number, detections.dtype), np.empty(number, np.int64)
+    for i in range(number):
+        piece = i - len(kept)
+        origin[i] = kept[i] if piece < 0 else source[piece]
+        made[i] = detections[origin[i]]
+        if piece >= 0:
+            _shorten(made[i], tracks[owner[piece]], low[piece], high[piece])
+    return made, origin
+
+
+@inner
+def _cuts(
+    tracks: np.ndarray, detections: np.ndarray, who: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Pieces: index of the detection, of its track, and where it begins and ends along the long side, from the middle
+    (m). who: the tracks that are people."""
+    room = _MOST * len(detections) if len(who) else 0
     source, owner = np.empty(room, np.int64), np.empty(room, np.int64)
     low, high, pieces = np.empty(room), np.empty(room), 0
-    for d in range(len(detections) if number >= 2 else 0):
-        inside, place = _predicted_inside(tracks, who[:number], detections[d])
+    for d in range(len(detections) if len(who) else 0):
+        inside, place = _predicted_inside(tracks, who, detections[d])
         extent = max(detections[d].size[0], detections[d].size[1])
         edges = np.empty(len(inside) + 1)
         if len(inside) < 2 or not _cut(place, extent, edges):
@@ -69,6 +77,21 @@ def _cuts(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, np.nd
             low[pieces], high[pieces] = edges[i], edges[i + 1]
             pieces += 1
     return source[:pieces], owner[:pieces], low[:pieces], high[:pieces]
+
+
+@inner
+def _shorten(piece: Any, track: Any, low: float, high: float) -> None:
+    """Leave of a detection what lies from low to high along its long side, as one of its track's class."""
+    along = 0 if piece.size[0] >= piece.size[1] else 1
+    heading, middle = piece.yaw + 0.5 * math.pi * along, 0.5 * (low + high)
+    piece.position[0] += middle * math.cos(heading)
+    piece.position[1] += middle * math.sin(heading)
+    piece.points = int(piece.points * (high - low) / piece.size[along])
+    piece.size[along] = high - low
+    piece.label = track.label
+    votes = all_votes(track)
+    for c in range(len(track.votes)):
+        piece.chances[c] = track.votes[c] / votes
 
 
 @inner

@@ -6,6 +6,7 @@ new ones are written behind the last.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -24,15 +25,17 @@ _CLASS_COUNT = len(CLASSES)
 @kernel
 def describe(
     position: np.ndarray, size: np.ndarray, yaw: np.ndarray, label: np.ndarray, confidence: np.ndarray,
-    points: np.ndarray, chances: np.ndarray, made: np.ndarray,
+    points: np.ndarray, chances: np.ndarray, T: np.ndarray, made: np.ndarray,
 ) -> None:  # fmt: skip
     """Fill ``made`` (K,) ``DETECTION``. points (K,) or none; chances (K, C) over ``CLASSES`` or none: then they follow
-    from label and confidence, the rest spread over the other classes; unknown is evenly so."""
+    from label and confidence, the rest spread over the other classes; unknown is evenly so. T (4, 4): of the map and
+    the frame that position and yaw are in."""
+    turn = math.atan2(T[1, 0], T[0, 0])
     for d in range(len(made)):
-        one = made[d]
+        one, x, y, z = made[d], position[d, 0], position[d, 1], position[d, 2]
         for i in range(3):
-            one.position[i], one.size[i] = position[d, i], size[d, i]
-        one.yaw, one.label, one.confidence = yaw[d], label[d], min(max(confidence[d], 0.0), 1.0)
+            one.position[i], one.size[i] = T[i, 0] * x + T[i, 1] * y + T[i, 2] * z + T[i, 3], size[d, i]
+        one.yaw, one.label, one.confidence = yaw[d] + turn, label[d], min(max(confidence[d], 0.0), 1.0)
         one.points = points[d] if len(points) else 0
         known = label[d] < _CLASS_COUNT
         share = one.confidence if known else 1.0 / _CLASS_COUNT

@@ -114,9 +114,8 @@ def compile_scene(config: InfraLidarConfig) -> None:
     for k in STEPS:
         stamp_ns = (10 + k) * FRAME_NS
         parted = scene.part(stamp_ns, frame, pipeline.calibration.update(frame))
-        parted.spread(np.zeros(len(parted.frame.ground), np.int32))
         scene.structural(parted, people, scene.ground.road_height(people.box[:, 0], people.box[:, 1]))
-        if parted.source is None:
+        if not parted.sifted:
             scene.learn(stamp_ns, frame, parted, nobody)
 
 
@@ -176,7 +175,7 @@ def two_people() -> ClusterPoints:
     planar = np.empty(3 * n + LANES, np.float32)[: 3 * n].reshape(3, n)
     planar[:] = np.random.default_rng(7).uniform(low, high, (n, 3)).T
     box = np.array([[*(low + high) / 2, *(high - low), 0.0, low[2]]] * 2, np.float32)
-    return ClusterPoints(np.zeros(n, np.int32), planar, np.array([0, n // 2, n], np.int32), box)
+    return ClusterPoints(planar, np.arange(n, dtype=np.int32), np.array([0, n // 2, n], np.int32), box)
 
 
 PACKET_KERNELS = {"velodyne": velodyne.decode_nothing, "ouster": ouster.decode_nothing}

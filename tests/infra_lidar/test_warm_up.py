@@ -11,8 +11,7 @@ from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.feature_spacing import cluster_spacing
 from services.infra_lidar.features import SPACING
-from services.infra_lidar.kernels_background import put_back
-from services.infra_lidar.kernels_ground import count_cells
+from services.infra_lidar.kernels_ground import count_cells, find_known
 from services.infra_lidar.tracking import MultiObjectTracker
 
 
@@ -28,7 +27,7 @@ def test_a_warm_start_has_run_what_comes_seldom():
     warm_up.warm_up(InfraLidarConfig(), told.append)
     assert len(told) == 1
     assert "kernels" in told[0]
-    assert put_back.signatures  # frames after the end of learning
+    assert find_known.signatures  # frames after the end of learning
     assert count_cells.signatures  # the watch over the pole
 
 
