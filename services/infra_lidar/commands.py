@@ -38,7 +38,8 @@ def train(
     scenes: Scenes = 96,
     bodies: Annotated[int, typer.Option("--bodies", min=0, help="Single generated bodies per class besides.")] = 300,
     features: FeatureSet = "",
-    trees: Annotated[int, typer.Option("--trees", min=1)] = 100,
+    trees: Annotated[int, typer.Option("--trees", min=1)] = 48,
+    leaves: Annotated[int, typer.Option("--leaves", min=2, help="Of a tree, at the most.")] = 300,
 ) -> None:
     """Train a forest from labelled clusters, or from generated scenes, and store it as plain arrays."""
     setup_logging("infra_lidar")
@@ -48,7 +49,7 @@ def train(
     clusters, story = training_data.training_set(folder, scenes, bodies, TRAIN_SEED)
     log.info("training on %d clusters", len(clusters))
     name = features or ("shape" if folder else "spotter")
-    forest = train_forest(clusters, name, story, trees=trees, max_leaves=500)
+    forest = train_forest(clusters, name, story, trees=trees, max_leaves=leaves)
     forest.save(output)
     size_kb = output.stat().st_size / 1e3
     _say(f"{output}: {trees} trees, {len(forest.child)} nodes, {size_kb:.0f} kB, {forest.digest[:12]}")

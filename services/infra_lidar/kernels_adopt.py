@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, inner, kernel
-from services.infra_lidar.kernels_merge import LARGE_GAP_M, LARGE_LENGTH_M, LARGE_TOP_M, SMALL_TOP_M, directions
+from services.infra_lidar.kernels_merge import LARGE_GAP_M, LARGE_LENGTH_M, LARGE_TOP_M, SMALL_TOP_M
 from services.infra_lidar.ordering import rising
 
 CROSS_M, CROSS_SLOPE = 0.25, 0.006  # a gap, seen from the sensor, is at most two beams wide and 25 cm
@@ -124,12 +124,13 @@ def _best(box, turned, members, strays):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def adopt_strays(box, counts, min_points, group):  # type: ignore[no-untyped-def]
+def adopt_strays(box, turned, counts, min_points, group):  # type: ignore[no-untyped-def]
     """Let tall groups of ``min_points`` or more take loose pieces, the largest group first.
 
-    box (K, 8) as measured by ``kernels_clusters.measure``, counts (K,) points; group (K,) is rewritten.
+    box (K, 8) as measured by ``kernels_clusters.measure`` and its ``directions``, counts (K,) points; group (K,) is
+    rewritten.
     """
-    total, turned = len(counts), directions(box)
+    total = len(counts)
     size, top = np.zeros(total, np.int64), np.zeros(total, np.float32)
     for k in range(total):
         size[group[k]] += counts[k]

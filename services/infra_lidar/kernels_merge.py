@@ -25,7 +25,9 @@ def directions(box):  # type: ignore[no-untyped-def]
     """(K, 2) float32: cosine and sine of each yaw."""
     turned = np.empty((len(box), 2), np.float32)
     for k in range(len(box)):
-        turned[k, 0], turned[k, 1] = np.cos(box[k, 6]), np.sin(box[k, 6])
+        turned[k, 0], turned[k, 1] = 1.0, 0.0
+        if box[k, 6] != 0.0:  # most pieces are a single return
+            turned[k, 0], turned[k, 1] = np.cos(box[k, 6]), np.sin(box[k, 6])
     return turned
 
 
@@ -115,13 +117,13 @@ def _vulnerable(box, k):  # type: ignore[no-untyped-def]
 
 
 @inner
-def merge_fragments(box, counts, min_count, group):  # type: ignore[no-untyped-def]
+def merge_fragments(box, turned, counts, min_count, group):  # type: ignore[no-untyped-def]
     """Group number of each of K components, by union of fitting neighbours; components under ``min_count`` stay out.
 
-    box (K, 8) as measured by ``kernels_clusters.measure``; group (K,) int32 is written: smallest member's index.
+    box (K, 8) as measured by ``kernels_clusters.measure`` and its ``directions``; group (K,) int32 is written: smallest
+    member's index.
     """
-    usable, turned = _usable(box, counts, min_count), directions(box)
-    corners = _corners(box, turned)
+    usable, corners = _usable(box, counts, min_count), _corners(box, turned)
     following, members = np.empty(len(counts), np.int64), np.empty(len(usable), np.int64)
     for k in range(len(counts)):
         group[k] = following[k] = k  # the members of a group stand in a ring

@@ -13,7 +13,7 @@ from services.infra_lidar.kernels_adopt import adopt_strays
 from services.infra_lidar.kernels_clusters import possible, regroup, take_out
 from services.infra_lidar.kernels_high import lift, put_down, spread, tall_ones
 from services.infra_lidar.kernels_labels import label_points
-from services.infra_lidar.kernels_merge import merge_fragments
+from services.infra_lidar.kernels_merge import directions, merge_fragments
 from services.infra_lidar.kernels_runs import find_runs
 from services.infra_lidar.kernels_split import second_look
 
@@ -62,9 +62,9 @@ def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touche
     # Pieces of vehicles
     all_of_them, anywhere = np.int64(1), np.int64(0)  # as literals they would be compiled once more
     if s.fragments:
-        group, counts = np.empty(count, np.int32), offsets[1:] - offsets[:-1]
-        merge_fragments(box[:count], counts, MIN_FRAGMENT_POINTS, group)
-        adopt_strays(box[:count], counts, s.min_points, group)
+        group, counts, turned = np.empty(count, np.int32), offsets[1:] - offsets[:-1], directions(box[:count])
+        merge_fragments(box[:count], turned, counts, MIN_FRAGMENT_POINTS, group)
+        adopt_strays(box[:count], turned, counts, s.min_points, group)
         count, total = regroup(
             offsets, group, count, all_of_them, total, across[:0], anywhere, grouped, index, scratch, second[0],
             sets[1], second[1], box,

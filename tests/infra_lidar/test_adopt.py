@@ -18,7 +18,8 @@ def _point(x, y, above=1.5):
 def _adopt(pieces, counts, group=None):
     box, counts = np.array(pieces, np.float32), np.array(counts, np.int64)
     group = np.arange(len(box), dtype=np.int32) if group is None else np.array(group, np.int32)
-    adopt_strays(box, counts, FEW, group)
+    turned = np.column_stack((np.cos(box[:, 6]), np.sin(box[:, 6])))
+    adopt_strays(box, turned, counts, FEW, group)
     return group
 
 

@@ -55,6 +55,11 @@ def test_a_car_under_a_tree_is_no_part_of_the_tree():
     assert _judge(_drawn(), _solid(12, 20, 3.0, 3.0, 2.7, 4.0, 400, seed=2))
 
 
+def test_a_large_cluster_is_judged_by_all_of_its_length():
+    assert _judge(_drawn(), _solid(20, 0, 2.5, 11, 0.2, 1.9, 9000, seed=3))
+    assert not _judge(_drawn(), _solid(20, 10, 2.5, 13, 0.2, 1.9, 9000, seed=3))  # a fifth of it is hedge
+
+
 def test_what_was_a_road_user_is_not_drawn():
     assert not _judge(_drawn(), PARKED)
 
