@@ -44,7 +44,7 @@ class ClusterPoints:
     @property
     def counts(self) -> np.ndarray:
         """(K,) points per cluster."""
-        return np.diff(self.offsets)
+        return self.offsets[1:] - self.offsets[:-1]
 
     def cluster_id(self, n: int) -> np.ndarray:
         """(N,) int32: the cluster of each point of a frame of n, -1 = none."""

@@ -133,65 +133,31 @@ def measure(points, offsets, box):  # type: ignore[no-untyped-def]
     x, y, z, above = points[0], points[1], points[2], points[3]
     for k in range(offsets.shape[0] - 1):
         first, last = offsets[k], offsets[k + 1]
-        n = last - first
-        if n == 1:  # most pieces are a single return
+        if last - first == 1:  # most pieces are a single return
             box[k, 0], box[k, 1], box[k, 2], box[k, 7] = x[first], y[first], z[first], above[first]
             box[k, 3:7] = 0.0
             continue
-        bx, by = x[first:last], y[first:last]
-        sx, sy, sxx, sxy, syy = _moments(bx, by)
-        mx, my = sx / n, sy / n
-        cxx, cxy, cyy = sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my
-        yaw = 0.5 * np.arctan2(2.0 * cxy, cxx - cyy)
-        c, s = np.float32(np.cos(yaw)), np.float32(np.sin(yaw))
-        u0, u1, v0, v1 = _extents_along(bx, by, c, s)
-        w0, w1 = low_high(z[first:last])
-        a0, _ = low_high(above[first:last])
-        u, v = (u0 + u1) * np.float32(0.5), (v0 + v1) * np.float32(0.5)
-        box[k, 0] = bx[0] + c * u - s * v
-        box[k, 1] = by[0] + s * u + c * v
-        box[k, 2] = (w0 + w1) * np.float32(0.5)
-        box[k, 3], box[k, 4], box[k, 5] = u1 - u0, v1 - v0, w1 - w0
-        box[k, 6] = yaw
-        box[k, 7] = a0
+        measure_one(x[first:last], y[first:last], z[first:last], box[k])
+        box[k, 7], _ = low_high(above[first:last])
 
 
 @inner
-def possible(box, offsets, s, label):  # type: ignore[no-untyped-def]
-    """label (K,) int32: k for clusters of a possible size, -1 for others; s: settings, as in ``kernels_steps``."""
-    for k in range(len(label)):
-        n, top = offsets[k + 1] - offsets[k], box[k, 7] + box[k, 5]
-        good = (s.min_points <= n) & (n <= s.max_points) & (box[k, 5] <= s.max_height_m) & (top >= s.min_top_m)
-        good &= np.hypot(box[k, 3], box[k, 4]) <= s.max_diagonal_m
-        label[k] = k if good else -1
-
-
-@inner
-def take_out(grouped, offsets, source, box, label):  # type: ignore[no-untyped-def]
-    """Copies of the clusters whose label (K,) is not negative: planar (3, T) of their points, with room for a vector
-    behind it, their ``source`` (T,), offsets, and box."""
-    count, total = 0, 0
-    for k in range(len(label)):
-        if label[k] >= 0:
-            count += 1
-            total += offsets[k + 1] - offsets[k]
-    planar = np.empty(3 * total + LANES, np.float32)[: 3 * total].reshape(3, total)
-    begins, boxes, members = np.zeros(count + 1, np.int32), np.empty((count, 8), np.float32), np.empty(total, np.int32)
-    number, to = 0, 0
-    for k in range(len(label)):
-        if label[k] < 0:
-            continue
-        first, n = offsets[k], offsets[k + 1] - offsets[k]
-        for i in range(0, n, LANES):
-            a, b, left = to + i, first + i, np.int32(n - i)
-            for row in range(3):
-                copy_first(planar[row], a, grouped[row], b, left)
-            copy_first(members, a, source, b, left)
-        for column in range(8):
-            boxes[number, column] = box[k, column]
-        number, to = number + 1, to + n
-        begins[number] = to
-    return planar, members, begins, boxes
+def measure_one(x, y, z, box):  # type: ignore[no-untyped-def]
+    """The first seven numbers of a cluster's box (8,) from its points, each (n,) float32."""
+    n = len(x)
+    sx, sy, sxx, sxy, syy = _moments(x, y)
+    mx, my = sx / n, sy / n
+    cxx, cxy, cyy = sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my
+    yaw = 0.5 * np.arctan2(2.0 * cxy, cxx - cyy)
+    c, s = np.float32(np.cos(yaw)), np.float32(np.sin(yaw))
+    u0, u1, v0, v1 = _extents_along(x, y, c, s)
+    w0, w1 = low_high(z)
+    u, v = (u0 + u1) * np.float32(0.5), (v0 + v1) * np.float32(0.5)
+    box[0] = x[0] + c * u - s * v
+    box[1] = y[0] + s * u + c * v
+    box[2] = (w0 + w1) * np.float32(0.5)
+    box[3], box[4], box[5] = u1 - u0, v1 - v0, w1 - w0
+    box[6] = yaw
 
 
 @sum_kernel

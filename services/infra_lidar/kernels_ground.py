@@ -65,7 +65,7 @@ def find_ground(  # type: ignore[no-untyped-def]
     else:
         sloped_surface(fit, s, surface, accepted)
     planes = surface.reshape(number.shape[0], 3)
-    return label_ground(x, y, z, cell, planes, s, ground, others, rest), returns, near
+    return label_ground(x, y, z, cell, planes, s, None, ground, others, rest), returns, near
 
 
 @kernel
@@ -74,11 +74,9 @@ def find_known(sensor, source, T, s, surface, x, y, z, cell, ground, others, res
     (3, n or more) float32, and not counted; their index in the whole frame, source (n,), goes to rest, and whether they
     are ground to ``of_all`` (N,) bool, too. Returns M."""
     level_planar(sensor, len(source), T, s, x, y, z, cell)
-    m = label_ground(x, y, z, cell, surface, s, ground, others, rest)
+    m = label_ground(x, y, z, cell, surface, s, source, ground, others, rest)
     for i in range(len(source)):
         of_all[np.uint32(source[i])] = ground[i]
-    for i in range(m):
-        rest[i] = source[np.uint32(rest[i])]
     return m
 
 
@@ -236,13 +234,13 @@ def _bin_of(histogram, fours, c, rank):  # type: ignore[no-untyped-def]
 
 
 @inner
-def label_ground(x, y, z, cell, surface, s, ground, points, rest):  # type: ignore[no-untyped-def]
+def label_ground(x, y, z, cell, surface, s, source, ground, points, rest):  # type: ignore[no-untyped-def]
     """Label ground and gather the rest.
 
     surface (cells, 3) float32: z of the road at (x, y) is s0 + s1 x + s2 y. Writes ground (N,) bool, and for the
-    M other points inside the limits x, y, z and height above the road to points (4, N) float32 and their index to
-    rest; returns M. Points below the band are no obstacle (mirror images in puddles, ditches) unless ``s.keep_below``.
-    Outputs have room for a vector more, and so have x, y, z and cell.
+    M other points inside the limits x, y, z and height above the road to points (4, N) float32 and their ``source``
+    (N,), their index where that is None, to rest; returns M. Points below the band are no obstacle (mirror images in
+    puddles, ditches) unless ``s.keep_below``. Outputs have room for a vector more, and so have x, y, z and cell.
     """
     n, m = ground.shape[0], 0
     planes, flat = _planes(surface)
@@ -261,7 +259,7 @@ def label_ground(x, y, z, cell, surface, s, ground, points, rest):  # type: igno
             store_chosen(to_y, m, load(y, i), other)
             store_chosen(to_z, m, load(z, i), other)
             store_chosen(to_height, m, height, other)
-            store_chosen(rest, m, lanes() + np.int32(i), other)
+            store_chosen(rest, m, lanes() + np.int32(i) if source is None else load(source, i), other)
             m += found
     return m
 

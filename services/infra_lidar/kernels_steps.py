@@ -10,12 +10,13 @@ import numpy as np
 
 from services.infra_lidar.jit import inner, kernel
 from services.infra_lidar.kernels_adopt import adopt_strays
-from services.infra_lidar.kernels_clusters import possible, regroup, take_out
+from services.infra_lidar.kernels_clusters import regroup
 from services.infra_lidar.kernels_high import lift, put_down, spread, tall_ones
 from services.infra_lidar.kernels_labels import label_points
 from services.infra_lidar.kernels_merge import directions, merge_fragments
 from services.infra_lidar.kernels_runs import find_runs
 from services.infra_lidar.kernels_split import second_look
+from services.infra_lidar.kernels_take import possible, take_out
 
 SETTINGS = np.dtype(
     [(name, np.float32) for name in (
@@ -60,11 +61,19 @@ def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touche
     grouped, offsets, index = sets[0][: 4 * total].reshape(4, total), first[0][: count + 1], first[1][:total]
 
     # Pieces of vehicles
-    all_of_them, anywhere = np.int64(1), np.int64(0)  # as literals they would be compiled once more
+    group = np.empty(count, np.int32)
+    for k in range(count):
+        group[k] = k
     if s.fragments:
-        group, counts, turned = np.empty(count, np.int32), offsets[1:] - offsets[:-1], directions(box[:count])
+        counts, turned = offsets[1:] - offsets[:-1], directions(box[:count])
         merge_fragments(box[:count], turned, counts, MIN_FRAGMENT_POINTS, group)
         adopt_strays(box[:count], turned, counts, s.min_points, group)
+
+    # Only what is of a possible size; and the article's second look
+    if look is None:
+        return take_out(grouped, offsets, index, box, group, s, sets[1].reshape(4, room))
+    all_of_them, anywhere = np.int64(1), np.int64(0)  # as literals they would be compiled once more
+    if s.fragments:
         count, total = regroup(
             offsets, group, count, all_of_them, total, across[:0], anywhere, grouped, index, scratch, second[0],
             sets[1], second[1], box,
@@ -72,21 +81,19 @@ def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touche
         grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
         first, sets = second, (sets[1], sets[0])
         second = (ints[9], ints[10])
-
-    # Only what is of a possible size; and the article's second look
-    label = ints[5][:count]
+    label, of_points = ints[5][:count], ints[4][:total]
     possible(box[:count], offsets, s, label)
-    if look is not None:
-        of_points = ints[4][:total]
-        labels = second_look(grouped, offsets, box[:count], label, look, sets[1].reshape(4, room), of_points)
-        runs, box = _runs(of_points, begin, ints[1]), np.empty((labels, 8), np.float32)
-        count, total = regroup(
-            begin[: runs + 1], ints[1][:runs], labels, all_of_them, total, across[:0], anywhere, grouped, index,
-            scratch, second[0], sets[1], second[1], box,
-        )  # fmt: skip
-        grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
-        label = np.zeros(count, np.int32)  # all of them
-    return take_out(grouped, offsets, index, box, label)
+    labels = second_look(grouped, offsets, box[:count], label, look, sets[1].reshape(4, room), of_points)
+    runs, box = _runs(of_points, begin, ints[1]), np.empty((labels, 8), np.float32)
+    count, total = regroup(
+        begin[: runs + 1], ints[1][:runs], labels, all_of_them, total, across[:0], anywhere, grouped, index,
+        scratch, second[0], sets[1], second[1], box,
+    )  # fmt: skip
+    grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
+    group = np.empty(count, np.int32)
+    for k in range(count):
+        group[k] = k
+    return take_out(grouped, offsets, index, box, group, None, sets[0].reshape(4, room))
 
 
 @inner

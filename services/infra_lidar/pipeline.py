@@ -19,6 +19,7 @@ from services.infra_lidar.result import ClusterSet, FrameResult
 from services.infra_lidar.scene import Parted, Scene
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
 
+_IDENTITY = np.eye(4)
 SURE = 0.7  # a cluster of this confidence is kept out of the background
 
 
@@ -124,7 +125,7 @@ class InfraLidarPipeline:
     def _map_from_level(self, calibration: Calibration) -> np.ndarray:
         """Identity without a surveyed pose: then the map is the road plane at the pole's foot."""
         if not self.config.T_map_sensor:
-            return np.eye(4)
+            return _IDENTITY
         return np.reshape(self.config.T_map_sensor, (4, 4)) @ invert(calibration.T_level_sensor)
 
 

@@ -49,7 +49,7 @@ class ClusterSet:
     @cached_property
     def counts(self) -> np.ndarray:
         """(K,) points."""
-        return np.diff(self.offsets)
+        return self.offsets[1:] - self.offsets[:-1]
 
 
 @dataclass(frozen=True)

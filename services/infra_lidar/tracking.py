@@ -25,6 +25,7 @@ from services.infra_lidar.tracking_step import advance, candidates, conclude, de
 assert set(LABELS) == set(get_args(ObjectLabel))
 
 _LABEL_INDEX: dict[str, int] = {label: index for index, label in enumerate(LABELS)}
+_IDENTITY = np.eye(4)
 _NO_POINTS, _NO_CHANCES = np.zeros(0, np.int64), np.zeros((0, len(CLASSES)))
 
 
@@ -45,7 +46,7 @@ class Detections:
     confidence: np.ndarray
     points: np.ndarray | None = None
     probabilities: np.ndarray | None = None
-    T_map_source: np.ndarray = field(default_factory=lambda: np.eye(4))
+    T_map_source: np.ndarray = field(default_factory=lambda: _IDENTITY)
 
     def __post_init__(self) -> None:
         count = len(self.labels)
@@ -59,9 +60,11 @@ class Detections:
             value = np.asarray(getattr(self, name))
             if value.shape != shape:
                 check_shape(self, name, value, *shape)
-        known = range(len(LABELS)) if isinstance(self.labels, np.ndarray) else _LABEL_INDEX.keys()
-        if not set(known).issuperset(self.labels):
-            unknown = sorted(set(self.labels) - set(known))
+        if isinstance(self.labels, np.ndarray):
+            if count and not 0 <= self.labels.min() <= self.labels.max() < len(LABELS):
+                raise ValueError(f"labels: {sorted(set(self.labels.tolist()))} are no index of {', '.join(LABELS)}")
+        elif not _LABEL_INDEX.keys() >= set(self.labels):
+            unknown = sorted(set(self.labels) - _LABEL_INDEX.keys())
             raise ValueError(f"labels: {unknown} not among {', '.join(LABELS)}")
 
     def records(self) -> np.ndarray:
