@@ -1,9 +1,9 @@
 """The fixed scene of a fixed sensor: which range each beam returns in each direction when nobody is there.
 
 Learned once over ``learn_s`` from whole frames, then frozen: nothing that arrives later ever becomes background, so an
-obstacle that stops is never hidden. What the classifier took for a road user at the end of learning (a parked car) is
-left out, and so is every direction that was seen through for a while (a queue at a red light). The model is
-only a short cut for returns: those it knows need no ground, no cluster and no class.
+obstacle that stops is never hidden. What the classifier took for a road user now and then (a parked car) is left out,
+also when a bus stands before it as learning ends, and so is every direction that was seen through for a while (a queue
+at a red light). The model is only a short cut for returns: those it knows need no ground, no cluster and no class.
 """
 
 from __future__ import annotations
@@ -95,8 +95,9 @@ class Background:
 
     def learn(
         self, stamp_ns: int, points: np.ndarray, ground: np.ndarray, road_user: np.ndarray, surface: np.ndarray
-    ) -> None:
-        """Add a whole frame; ground, road_user (N,) bool of the same points. Settles when it has seen enough."""
+    ) -> np.ndarray | None:
+        """Add a whole frame; ground, road_user (N,) bool of the same points. Settles when it has seen enough: then it
+        returns (N,) bool, the points where a road user often was; else None."""
         config = self._config
         if self._low is None:
             self._begin(stamp_ns, points)
@@ -105,12 +106,14 @@ class Background:
         cell, squared = take(INTS, len(points), np.int32), take(FLOATS, len(points), np.float32)
         kernels.locate(points, self._columns, self._rows, cell, squared)
         kernels.learn(
-            cell, squared, tolerance, slope, self._low, self._high, self._count, self._newest, self._switches
+            cell, squared, road_user, tolerance, slope, self._low, self._high, self._count, self._used, self._newest,
+            self._switches,
         )  # fmt: skip
         self._frames += 1
-        if self._frames >= config.min_frames and stamp_ns - self._first_ns >= config.learn_s * 1e9:
-            self.model = self._settle(points, cell, ground, road_user, surface)
-            self._low = None
+        if self._frames < config.min_frames or stamp_ns - self._first_ns < config.learn_s * 1e9:
+            return None
+        self._low, users = None, self._settle(points, cell, ground, surface)
+        return np.asarray((cell >= 0) & users[cell])
 
     def _begin(self, stamp_ns: int, points: np.ndarray) -> None:
         self._columns = self._config.azimuth_cells
@@ -120,26 +123,27 @@ class Background:
         self._low = np.zeros((cells, kernels.MODES), np.float32)
         self._high = np.zeros((cells, kernels.MODES), np.float32)
         self._count = np.zeros((cells, kernels.MODES), np.uint16)
+        self._used = np.zeros((cells, kernels.MODES), np.uint16)
         self._newest = np.zeros(cells, np.uint8)
         self._switches = np.zeros(cells, np.uint16)
 
-    def _settle(
-        self, points: np.ndarray, cell: np.ndarray, ground: np.ndarray, road_user: np.ndarray, surface: np.ndarray
-    ) -> BackgroundModel:
+    def _settle(self, points: np.ndarray, cell: np.ndarray, ground: np.ndarray, surface: np.ndarray) -> np.ndarray:
+        """Makes the model; returns (cells,) bool, those where a road user often was, and their neighbours."""
         config, cells = self._config, self._columns * self._rows
-        bounds = np.empty((cells, 4), np.float32)
+        bounds, users = np.empty((cells, 4), np.float32), np.empty(cells, bool)
         kernels.settle(
-            self._low, self._high, self._count, self._switches, self._frames, self._columns, self._rows,
-            config.min_share, np.float32(config.tolerance_m), np.float32(config.tolerance_slope), bounds,
+            self._low, self._high, self._count, self._used, self._switches, self._frames, self._columns, self._rows,
+            config.min_share, np.float32(config.tolerance_m), np.float32(config.tolerance_slope), bounds, users,
         )  # fmt: skip
-        road, users, there = np.zeros(cells, bool), np.zeros(cells, bool), cell >= 0
+        road, there = np.zeros(cells, bool), cell >= 0
         road[cell[ground & there]] = True
-        users[cell[road_user & there]] = True
-        bounds[_widened(users.reshape(self._columns, self._rows)).ravel()] = (1.0, 0.0, 1.0, 0.0)
+        users = _widened(users.reshape(self._columns, self._rows)).ravel()
+        bounds[users] = (1.0, 0.0, 1.0, 0.0)
         ranges = np.empty((cells, 2), np.int32)
         kernels.pack(bounds, road, ranges)
         model = BackgroundModel(ranges, self._columns, self._rows, 1.0, surface.copy())
-        return replace(model, known_share=float(self._part(points, model, 0.0).known.mean()))
+        self.model = replace(model, known_share=float(self._part(points, model, 0.0).known.mean()))
+        return users
 
     def _part(self, points: np.ndarray, model: BackgroundModel, near_m: float) -> Sifted:
         points = np.ascontiguousarray(points, np.float32)

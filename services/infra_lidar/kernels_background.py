@@ -29,6 +29,7 @@ from services.infra_lidar.vectors import (
 
 MODES = 3
 FLICKER_SHARE = 0.2  # two ranges that take turns this often are both background; a queue takes turns far less often
+USER_SHARE = 0.3  # of its returns that were those of a road user, and what was always there is none of the scene
 ROWS_WITHOUT_RINGS, ROWS_PER_RAD = 256, np.float32(256.0)  # 0.22 degrees, for clouds without a ring column
 NO_RETURN_M2, FAR_M2 = np.float32(0.25), np.float32(1e8)
 LEAST_BITS, LAST_STEP = np.int32(NO_RETURN_M2.view(np.int32)), np.int32(32767)
@@ -64,9 +65,9 @@ def locate(points, columns, rows, cell, squared):  # type: ignore[no-untyped-def
 
 
 @kernel
-def learn(cell, squared, tolerance, slope, low, high, count, newest, switches):  # type: ignore[no-untyped-def]
-    """Add a frame, as ``locate`` says it, to the ranges seen per cell. low, high (cells, MODES) float32 m and count
-    (cells, MODES) uint16.
+def learn(cell, squared, user, tolerance, slope, low, high, count, used, newest, switches):  # type: ignore[no-untyped-def]
+    """Add a frame, as ``locate`` says it, to the ranges seen per cell. low, high (cells, MODES) float32 m, count and
+    used (cells, MODES) uint16: how often, and how often by a road user, as ``user`` (N,) bool says.
 
     A range within tolerance + slope * range of a mode widens it; otherwise it takes the rarest mode's place.
     newest (cells,) uint8 is the mode last seen, switches (cells,) uint16 counts how often that changed.
@@ -88,26 +89,32 @@ def learn(cell, squared, tolerance, slope, low, high, count, newest, switches): 
             low[c, taken], high[c, taken] = min(low[c, taken], r), max(high[c, taken], r)
             count[c, taken] = min(count[c, taken] + 1, 65535)
         else:
-            low[c, rarest], high[c, rarest], count[c, rarest] = r, r, 1
+            low[c, rarest], high[c, rarest], count[c, rarest], used[c, rarest] = r, r, 1, 0
             taken = rarest
+        used[c, taken] = min(used[c, taken] + user[i], 65535)
         switches[c] += newest[c] != taken
         newest[c] = taken
 
 
 @kernel
-def settle(low, high, count, switches, frames, columns, rows, min_share, tolerance, slope, bounds):  # type: ignore[no-untyped-def]
+def settle(  # type: ignore[no-untyped-def]
+    low, high, count, used, switches, frames, columns, rows, min_share, tolerance, slope, bounds, users
+):
     """What was always there, as two squared intervals of range per cell: bounds (cells, 4) float32.
 
     A range is background if nearly all returns of the cell came from it and none from behind it: what was sometimes
     seen through, as a car at a red light, is not. Where two ranges take turns from frame to frame (an edge, leaves),
-    both are. A second interval left free is that of a neighbour in azimuth. Returns the number of known cells.
+    both are. A second interval left free is that of a neighbour in azimuth. users (cells,) bool: what was always there
+    was often a road user, which may have parked there.
     """
     cells = columns * rows
     chosen = np.full((cells, 2), -1, np.int8)
-    known = 0
     for c in range(cells):
         _choose(low[c], high[c], count[c], switches[c], frames, min_share, chosen[c])
-        known += chosen[c, 0] >= 0
+        users[c] = False
+        for k in range(2):
+            m = chosen[c, k]
+            users[c] |= m >= 0 and used[c, m] > USER_SHARE * count[c, m]
     for c in range(cells):
         bounds[c, 0], bounds[c, 1], bounds[c, 2], bounds[c, 3] = 1.0, 0.0, 1.0, 0.0  # empty intervals
         for k in range(2):
@@ -123,7 +130,6 @@ def settle(low, high, count, switches, frames, columns, rows, min_share, toleran
             own = chosen[c, 0]
             if own < 0 or far > high[c, own] + tolerance or near < low[c, own] - tolerance:
                 _set(bounds, c, 2, near, far, tolerance, slope)
-    return known
 
 
 @inner

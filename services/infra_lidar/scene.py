@@ -74,10 +74,10 @@ class Scene:
             self.background.restart()
         if self.background.model is not None:
             return None
-        self.background.learn(stamp_ns, points, parted.ground, road_user, self.ground.surface)
-        if self.background.model is None:
+        users = self.background.learn(stamp_ns, points, parted.ground, road_user, self.ground.surface)
+        if self.background.model is None or users is None:
             return None
-        drawn = self._structure.draw(parted.frame, road_user)
+        drawn = self._structure.draw(parted.frame, road_user | users)
         self.background.model = replace(self.background.model, structure=drawn)
         sifted = self.background.sift(points, self._config.blindness.near_m)
         return np.zeros(len(points), bool) if sifted is None else sifted.known

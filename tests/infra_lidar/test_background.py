@@ -83,6 +83,30 @@ def test_a_car_parked_while_learning_stays_visible_if_it_was_recognised_as_one()
     assert (~background.sift(points, 2.5).known[thing]).mean() > 0.98
 
 
+def test_a_parked_car_stays_visible_though_a_bus_stands_before_it_as_learning_ends():
+    parked, bus = (200, 212, 12.0, 1.5), (195, 217, 8.0, 3.0)
+    background = _learned(
+        lambda k: (parked, bus) if k >= 19 else (parked,), lambda p: _is_thing(p, 12.0) & (p[:, 2] > -4.8)
+    )
+    points = _frame(300, things=(parked,))
+    thing = _is_thing(points, 12.0) & (points[:, 2] > -4.7)
+    assert (~background.sift(points, 2.5).known[thing]).mean() > 0.98
+
+
+def test_who_passes_as_learning_ends_leaves_no_hole():
+    passing = (100, 106, 15.0, 1.7)
+    background = _learned(lambda k: (passing,) if k >= 19 else (), lambda p: _is_thing(p, 15.0) & (p[:, 2] > -4.8))
+    points = _frame(300)
+    there = np.abs(np.degrees(np.arctan2(points[:, 1], points[:, 0])) - 103.0) < 3.0
+    assert background.sift(points, 2.5).known[there].mean() > 0.97
+
+
+def test_a_wall_that_is_taken_for_a_car_now_and_then_is_background():
+    turn = iter(range(1000))
+    background = _learned(users=lambda p: _is_thing(p, 30.0) & (next(turn) % 5 == 0))
+    assert background.sift(_frame(300), 2.5).known.mean() > 0.97
+
+
 def test_what_appears_behind_the_background_is_fresh():
     background = _learned()
     points = _frame(300)
