@@ -26,7 +26,7 @@ from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.warm_up import warm_up
 
-FRAMES, FIRST = 440, 40
+FRAMES, FIRST = 630, 230
 
 
 def _design(background: BackgroundConfig) -> Callable[[int, Frame], object]:
@@ -39,12 +39,11 @@ def main() -> None:
     warm_up(InfraLidarConfig(), lambda _: None)
     gc.freeze()  # as the service does: what is there by now is not looked through for garbage again
     article = ArticleByKernels(forest)
-    learning = BackgroundConfig(learn_s=3.0, min_frames=30, azimuth_cells=2300)
     for objects in (40, 160):
         ways: dict[str, Callable[[int, Frame], object]] = {
             "article's settings": lambda _, frame: article.process(frame),
             "own design, whole frames": _design(BackgroundConfig(enabled=False)),
-            "own design, scene learned": _design(learning),
+            "own design, scene learned": _design(BackgroundConfig()),
         }
         article.begin()
         spent: dict[str, list[float]] = {name: [] for name in ways}

@@ -209,7 +209,7 @@ def sift(points, columns, rows, packed, near_m, known, ground, source, fresh):  
             near += ones(there & (squared < near_m2))
             store(at, i, _cell(x, y, z, ring, width > 4, squared, columns, rows))
             for k in range(0, LANES, 4):  # bring the cells nearer: since the last frame all memory was used for else
-                prefetch(words, 2 * np.int64(at[i + k]))
+                prefetch(words, 2 * np.int64(at[np.uint32(i + k)]))
             store(step, i, select(there, smaller((bits(squared) - LEAST_BITS) >> 13, LAST_STEP), NO_STEP))
         for i in range(0, size, LANES):  # a loop of its own: shorter ones overlap better
             first, second = gather_pairs(packed, at, i)
