@@ -39,7 +39,7 @@ def train(
     bodies: Annotated[int, typer.Option("--bodies", min=0, help="Single generated bodies per class besides.")] = 300,
     features: FeatureSet = "",
     trees: Annotated[int, typer.Option("--trees", min=1)] = 48,
-    leaves: Annotated[int, typer.Option("--leaves", min=2, help="Of a tree, at the most.")] = 300,
+    leaves: Annotated[int, typer.Option("--leaves", min=2, help="Of a tree, at the most.")] = 400,
 ) -> None:
     """Train a forest from labelled clusters, or from generated scenes, and store it as plain arrays."""
     setup_logging("infra_lidar")

@@ -1,171 +1,57 @@
-"""The area of a cluster's convex hull seen from above.
+"""How much of its bounding box the hull of a cluster fills, seen from above.
 
 Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from services.infra_lidar.extremes import low_high
 from services.infra_lidar.jit import inner
-from services.infra_lidar.vectors import (
-    LANES,
-    fma,
-    lane_count,
-    lane_max,
-    lane_min,
-    lanes,
-    larger,
-    load,
-    select,
-    smaller,
-    splat,
-    store_chosen,
-)
+from services.infra_lidar.vectors import LANES, fma, lane_max, lane_min, larger, load, smaller, splat
 
-_WORTH_SIFTING = 16  # points
-_FEW = 64  # points that are sorted as they are
-_COLUMNS = 64
-_NEAR = 1e-6  # of the squared size: twice the area of a triangle that rounding may turn round
-_NOWHERE = np.int32(2**31 - 1)
+_STEP_RAD = math.pi / 8
+_COS = tuple(np.float32(math.cos(k * _STEP_RAD)) for k in range(4))
 
 
 @inner
-def hull_area(u: np.ndarray, v: np.ndarray, n: int, u_low: float, length: float, width: float) -> float:
-    """Area of the convex hull of n points about their mean, with zeros behind the last one. The points are sifted in
-    place."""
-    if n > _WORTH_SIFTING:
-        n = _outside(u, v, n, length, width)
-    if n > _FEW:
-        n = _thin_out(u, v, n, u_low, length, width)
-    _sort(u, v, n)
-    return 0.5 * (_chain(u, v, n, 1.0) + _chain(u, v, n, -1.0))
+def hull_fill(u: np.ndarray, v: np.ndarray, n: int, length: float, width: float) -> float:
+    """Area of the tightest polygon with 16 given directions around n points, in areas of their box, length x width.
 
-
-@inner
-def _outside(u: np.ndarray, v: np.ndarray, n: int, length: float, width: float) -> int:
-    """Keep what is not inside of the octagon of the extreme points in eight directions, and say how many that are: what
-    lies inside is no corner of the hull (Akl and Toussaint 1978), and that is most of a cluster."""
-    ends = np.empty(8, np.int32)
-    _extreme(u, v, n, np.float32(1.0 / length), np.float32(1.0 / width), ends)
-    across, along, offset = np.zeros(8, np.float32), np.zeros(8, np.float32), np.ones(8, np.float32)
-    for k in range(8):
-        a, b = ends[k], ends[(k + 1) % 8]
-        if a != b:  # else that corner is cut off by nothing: every point is on its inner side
-            across[k], along[k] = v[a] - v[b], u[b] - u[a]
-            offset[k] = -(across[k] * u[a] + along[k] * v[a])
-    near, m = splat(np.float32(_NEAR * (length + width) ** 2)), 0
-    for i in range(0, n, LANES):
-        x, y = load(u, i), load(v, i)
-        inside = splat(np.float32(np.inf))
-        for k in range(8):
-            inside = smaller(inside, fma(splat(across[k]), x, fma(splat(along[k]), y, splat(offset[k]))))
-        kept = (inside <= near) & (lanes() < np.int32(n - i))
-        store_chosen(u, m, x, kept)
-        store_chosen(v, m, y, kept)
-        m += lane_count(kept)
-    return m
-
-
-@inner
-def _extreme(
-    u: np.ndarray, v: np.ndarray, n: int, per_length: np.float32, per_width: np.float32, ends: np.ndarray
-) -> None:
-    """Places of the extreme points in eight directions, counter-clockwise from +u on."""
-    none, here = splat(np.float32(-np.inf)), lanes()
-    m0, m1, m2, m3, m4, m5, m6, m7 = none, none, none, none, none, none, none, none
-    k0, k1, k2, k3, k4, k5, k6, k7 = here, here, here, here, here, here, here, here
-    for i in range(0, n, LANES):
-        x, y, at = load(u, i) * per_length, load(v, i) * per_width, here + np.int32(i)
-        up, down, zero = x + y, y - x, splat(np.float32(0.0))
-        m0, k0 = larger(m0, x), select(x > m0, at, k0)
-        m1, k1 = larger(m1, up), select(up > m1, at, k1)
-        m2, k2 = larger(m2, y), select(y > m2, at, k2)
-        m3, k3 = larger(m3, down), select(down > m3, at, k3)
-        x, up, y, down = zero - x, zero - up, zero - y, zero - down
-        m4, k4 = larger(m4, x), select(x > m4, at, k4)
-        m5, k5 = larger(m5, up), select(up > m5, at, k5)
-        m6, k6 = larger(m6, y), select(y > m6, at, k6)
-        m7, k7 = larger(m7, down), select(down > m7, at, k7)
-    ends[0], ends[1], ends[2], ends[3] = _best(m0, k0), _best(m1, k1), _best(m2, k2), _best(m3, k3)
-    ends[4], ends[5], ends[6], ends[7] = _best(m4, k4), _best(m5, k5), _best(m6, k6), _best(m7, k7)
-
-
-@inner
-def _best(values, places):  # type: ignore[no-untyped-def]
-    """The first place where the largest value stands."""
-    return lane_min(select(values == splat(lane_max(values)), places, _NOWHERE))
-
-
-@inner
-def _thin_out(u: np.ndarray, v: np.ndarray, n: int, u_low: float, length: float, width: float) -> int:
-    """Keep, in place, the ends of 64 columns across the length and of 64 across the width, and say how many these are.
-
-    A hull needs only the extreme points of every column (Bentley, Faust, Preparata 1982). These keep their own places,
-    so its area is exact up to points that both ways are hidden behind others (measured: below 0.1 %). One way would not
-    do: at an end that stands a little askew a column has three corners.
+    Points are about their mean, with zeros behind the last one. Lines that support a hull, all round, enclose it and
+    not much more (of a disc 1.3 %, of a triangle up to a fifth). Where a line is cut off by its neighbours follows from
+    the distances of the three: for directions that are evenly spread, an edge is (before + after - 2 cos own) / sin of
+    the step. It is never negative, because a hull has no dents. A forest that was trained with the hull itself does no
+    better by more than its seed does, and that takes five times as long.
     """
-    kept, m = np.zeros(n, np.bool_), 0
-    v_low, _ = low_high(v[:n])
-    _mark_ends(u, v, n, np.float32(u_low), length, kept)
-    _mark_ends(v, u, n, v_low, width, kept)
-    for i in range(n):
-        if kept[i]:
-            u[m], v[m] = u[i], v[i]
-            m += 1
-    return m
+    support = np.empty(16)
+    _supports(u, v, n, np.float32(1.0 / length), np.float32(1.0 / width), support)
+    area, cos, sin = 0.0, math.cos(_STEP_RAD), math.sin(_STEP_RAD)
+    for k in range(16):
+        edge = (support[k - 1] + support[(k + 1) % 16] - 2.0 * cos * support[k]) / sin
+        area += 0.5 * edge * support[k]
+    return area
 
 
 @inner
-def _mark_ends(
-    along: np.ndarray, across: np.ndarray, n: int, begin: np.float32, length: float, kept: np.ndarray
+def _supports(
+    u: np.ndarray, v: np.ndarray, n: int, per_length: np.float32, per_width: np.float32, support: np.ndarray
 ) -> None:
-    """Mark the lowest and the highest point of each column."""
-    low, high = np.full(_COLUMNS, -1, np.int32), np.full(_COLUMNS, -1, np.int32)
-    scale = np.float32((_COLUMNS - 1) / length) if length > 1e-6 else np.float32(0.0)
-    for i in range(n):
-        c = int((along[i] - begin) * scale)
-        if low[c] < 0:
-            low[c] = high[c] = i
-        elif across[i] < across[low[c]]:
-            low[c] = i
-        elif across[i] > across[high[c]]:
-            high[c] = i
-    for c in range(_COLUMNS):
-        if low[c] >= 0:
-            kept[low[c]] = kept[high[c]] = True
-
-
-@inner
-def _sort(u: np.ndarray, v: np.ndarray, n: int) -> None:
-    """By u, and by v where that is the same, in place (Shell 1959, with steps of Knuth's: 1, 4, 13, 40 ...)."""
-    step = 1
-    while 3 * step < n:
-        step = 3 * step + 1
-    while step > 0:
-        for i in range(step, n):
-            x, y, j = u[i], v[i], i
-            while j >= step and (u[j - step] > x or (u[j - step] == x and v[j - step] > y)):
-                u[j], v[j], j = u[j - step], v[j - step], j - step
-            u[j], v[j] = x, y
-        step //= 3
-
-
-@inner
-def _chain(u: np.ndarray, v: np.ndarray, n: int, sign: float) -> float:
-    """Twice the area under a monotone hull chain of sorted points (Andrew 1979); sign +1 lower, -1 upper."""
-    stack, top = np.empty(n, np.int32), 0
-    for c in range(n):
-        while top >= 2:
-            a, b = stack[top - 2], stack[top - 1]
-            if ((u[b] - u[a]) * (v[c] - v[a]) - (v[b] - v[a]) * (u[c] - u[a])) * sign > 0.0:
-                break
-            top -= 1
-        stack[top] = c
-        top += 1
-    total = 0.0
-    for i in range(top - 1):
-        a, b = stack[i], stack[i + 1]
-        total += u[a] * v[b] - u[b] * v[a]
-    return total * sign
+    """How far the points reach in 16 directions, counter-clockwise from +u on."""
+    c1, c2, c3, none = splat(_COS[1]), splat(_COS[2]), splat(_COS[3]), splat(np.float32(0.0))
+    l0, l1, l2, l3, l4, l5, l6, l7 = none, none, none, none, none, none, none, none
+    h0, h1, h2, h3, h4, h5, h6, h7 = none, none, none, none, none, none, none, none
+    for i in range(0, n, LANES):
+        x, y = load(u, i) * per_length, load(v, i) * per_width
+        d1, d3, d5, d7 = fma(x, c1, y * c3), fma(x, c3, y * c1), fma(y, c1, x * -_COS[3]), fma(y, c3, x * -_COS[1])
+        d2, d6 = (x + y) * c2, (y - x) * c2
+        l0, l1, l2, l3 = smaller(l0, x), smaller(l1, d1), smaller(l2, d2), smaller(l3, d3)
+        l4, l5, l6, l7 = smaller(l4, y), smaller(l5, d5), smaller(l6, d6), smaller(l7, d7)
+        h0, h1, h2, h3 = larger(h0, x), larger(h1, d1), larger(h2, d2), larger(h3, d3)
+        h4, h5, h6, h7 = larger(h4, y), larger(h5, d5), larger(h6, d6), larger(h7, d7)
+    support[0], support[1], support[2], support[3] = lane_max(h0), lane_max(h1), lane_max(h2), lane_max(h3)
+    support[4], support[5], support[6], support[7] = lane_max(h4), lane_max(h5), lane_max(h6), lane_max(h7)
+    support[8], support[9], support[10], support[11] = -lane_min(l0), -lane_min(l1), -lane_min(l2), -lane_min(l3)
+    support[12], support[13], support[14], support[15] = -lane_min(l4), -lane_min(l5), -lane_min(l6), -lane_min(l7)

@@ -17,7 +17,7 @@ import numpy as np
 
 from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.extremes import in_turn
-from services.infra_lidar.feature_hull import hull_area
+from services.infra_lidar.feature_hull import hull_fill
 from services.infra_lidar.jit import inline, inner, kernel
 from services.infra_lidar.ordering import sort_rising
 from services.infra_lidar.vectors import (
@@ -133,7 +133,7 @@ def _one_cluster(
     z, u, v = scratch[2], scratch[3], scratch[4]
     cxx, cyy, czz, cxy, cxz, cyz, z_low, z_high = _moments(scratch[0], scratch[1], z, n)
     cos, sin, ratio = _axes(cxx, cxy, cyy)
-    length, width, u_low = _turned(scratch[0], scratch[1], n, cos, sin, u, v)
+    length, width = _turned(scratch[0], scratch[1], n, cos, sin, u, v)
     tall = z_high - z_low
     spread, area = math.sqrt(length * length + width * width), length * width
     row[0], row[1], row[2], row[3] = n, spread, area, tall
@@ -147,7 +147,7 @@ def _one_cluster(
     row[21], row[22], row[23] = length, width, area * tall
     row[31], row[32] = base + z_low, base + z_high
     if hull and area > 1e-6:
-        row[33] = hull_area(u, v, n, u_low, length, width) / area
+        row[33] = hull_fill(u, v, n, length, width)
     row[34] = math.hypot(mx, my)
     row[35] = math.log(n) + 2.0 * math.log(max(row[34], 1.0))
     row[_WIDTH - 1] = 1.0
@@ -172,8 +172,8 @@ def _moments(x: np.ndarray, y: np.ndarray, z: np.ndarray, n: int) -> tuple[Any, 
 @inner
 def _turned(
     x: np.ndarray, y: np.ndarray, n: int, cos: float, sin: float, u: np.ndarray, v: np.ndarray
-) -> tuple[float, float, float]:
-    """Places along and across the main axis; returns length, width and the smallest ``u``."""
+) -> tuple[float, float]:
+    """Places along and across the main axis; returns length and width."""
     c, s, none = splat(np.float32(cos)), splat(np.float32(sin)), splat(np.float32(0.0))
     u_low, u_high, v_low, v_high = none, none, none, none
     for i in range(0, n, LANES):
@@ -183,7 +183,7 @@ def _turned(
         store(v, i, across)
         u_low, u_high = smaller(u_low, along), larger(u_high, along)
         v_low, v_high = smaller(v_low, across), larger(v_high, across)
-    return lane_max(u_high) - lane_min(u_low), lane_max(v_high) - lane_min(v_low), lane_min(u_low)
+    return lane_max(u_high) - lane_min(u_low), lane_max(v_high) - lane_min(v_low)
 
 
 @inner

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import cdist
@@ -115,7 +115,7 @@ def test_pieces_inside_a_cluster_are_counted(n: int, groups: int) -> None:
     assert got[0, 1] == pytest.approx(1 / groups)
 
 
-def test_hull_fill_is_the_share_of_the_box_that_the_convex_hull_covers() -> None:
+def test_hull_fill_is_no_less_than_what_the_convex_hull_covers_and_not_much_more() -> None:
     rng = np.random.default_rng(0)
     square = (rng.uniform(0, 1, (4000, 3)) * [4.0, 2.0, 1.0]).astype(np.float32)
     shapes = [square, square[square[:, 1] < square[:, 0] / 2], square[np.hypot(*(square[:, :2] - [2, 1]).T) < 1]]
@@ -123,16 +123,37 @@ def test_hull_fill_is_the_share_of_the_box_that_the_convex_hull_covers() -> None
     points, offsets = stacked(shapes)
     got = compute_features(points, offsets, np.zeros(len(shapes)), ("hull_fill", "xy_area"))
     for (fill, area), shape in zip(got, shapes, strict=True):
-        assert fill * area == pytest.approx(ConvexHull(shape[:, :2]).volume, rel=0.02)
+        hull = ConvexHull(shape[:, :2]).volume
+        assert hull <= fill * area < 1.25 * hull
+
+
+def _fill_by_clipping(place: np.ndarray) -> float:
+    """The box of points (N, 2), cut by every line at 16 directions that supports them; slow and plain."""
+    middle = place.mean(axis=0)
+    across, along = np.linalg.eigh(np.cov((place - middle).T, bias=True))[1].T
+    own = (place - middle) @ np.stack([along, across], axis=1)
+    own /= np.ptp(own, axis=0)
+    polygon = 2.0 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    for k in range(16):
+        normal = np.array([np.cos(k * np.pi / 8), np.sin(k * np.pi / 8)])
+        over, kept = polygon @ normal - (own @ normal).max(), []
+        for i in range(len(polygon)):  # Sutherland and Hodgman 1974
+            j = (i + 1) % len(polygon)
+            if over[i] <= 0:
+                kept.append(polygon[i])
+            if over[i] * over[j] < 0:
+                kept.append(polygon[i] + over[i] / (over[i] - over[j]) * (polygon[j] - polygon[i]))
+        polygon = np.array(kept)
+    x, y = polygon.T
+    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
 @settings(max_examples=150, deadline=None)
-@example(seed=173, n=174, step=0.0, shape="corner", size=(7.0, 0.5))  # three corners of its hull are in one column
 @given(
     seed=st.integers(0, 10_000), n=st.integers(3, 300), step=st.sampled_from([0.0, 0.05, 0.5]),
     shape=st.sampled_from(["square", "disc", "ring", "corner"]), size=st.tuples(*[st.floats(0.2, 12.0)] * 2),
 )  # fmt: skip
-def test_hull_fill_of_few_points_is_exact(
+def test_hull_fill_is_that_of_the_lines_that_support_it(
     seed: int, n: int, step: float, shape: str, size: tuple[float, float]
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -147,9 +168,11 @@ def test_hull_fill_of_few_points_is_exact(
     place = np.round(place / step) * step if step else place  # in a grid many are in a line, or in one place
     points, offsets = stacked([np.column_stack([place, np.linspace(0, 1, len(place))]).astype(np.float32)])
     assume(len(place) >= 3 and np.linalg.matrix_rank(place - place.mean(axis=0), tol=1e-3) == 2)
+    small, large = np.linalg.eigvalsh(np.cov(place.T, bias=True))
+    assume(small > 1e-4 and large > 1.05 * small)  # else any direction is its main axis
     ((fill, area),) = compute_features(points, offsets, np.zeros(1), ("hull_fill", "xy_area"))
-    hull = ConvexHull(points[:, :2].astype(np.float64)).volume
-    assert fill * area == pytest.approx(hull, rel=1e-4 if n <= 64 else 0.002, abs=1e-4)
+    assert fill == pytest.approx(_fill_by_clipping(points[:, :2].astype(np.float64)), rel=2e-3, abs=1e-4)
+    assert ConvexHull(points[:, :2].astype(np.float64)).volume <= fill * area * 1.002 + 1e-4
 
 
 @settings(max_examples=40, deadline=None)
