@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.labelled_boxes import LabelledFrame, labelled_frames
-from benchmarks.roadside_frames import Frame, frames_of
+from benchmarks.roadside_frames import Frame, frames_of, turns
 from services.infra_lidar.calibration import Calibrator
 from services.infra_lidar.classes import CLASSES, LABELS
 from services.infra_lidar.classifier import Classifier
@@ -23,6 +23,7 @@ from services.infra_lidar.clustering import Clustering
 from services.infra_lidar.config import (
     ARTICLE_CLUSTERING,
     ARTICLE_GROUND,
+    BackgroundConfig,
     CalibrationConfig,
     ClassifierConfig,
     ClusteringConfig,
@@ -32,6 +33,7 @@ from services.infra_lidar.config import (
 from services.infra_lidar.evaluate import evaluate_forest
 from services.infra_lidar.features import compute_features
 from services.infra_lidar.ground import Ground
+from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.train import train_forest
 from services.infra_lidar.training_clusters import join_clusters
 from services.infra_lidar.training_scenes import scene_clusters
@@ -39,6 +41,7 @@ from services.infra_lidar.training_scenes import scene_clusters
 KINDS = ("open", "level", "facade", "trees")
 BESIDE_THE_POLE = ("slope", "bus", "crowd")
 CALIBRATION_SCENES, CLUSTER_SCENES = 20, 6
+LEARNED_SEEDS, LEARNED_FRAMES, NEAR_M = range(40, 46), 300, 80.0
 TRAINING_SEEDS, TEST_SEEDS = range(2000, 2024), range(6000, 6012)
 ON_A_VEHICLE = CalibrationConfig(max_tilt_deg=10.0, height_min_m=1.0, height_max_m=3.0)
 MIN_POINTS, PIECE_SHARE = 20, 0.1
@@ -111,6 +114,30 @@ def _count_own(
         best = int(count.argmax())
         total[kind] += 1
         good[kind] += bool(count[best] >= 0.5 * mine.sum() and count[best] > 0.5 * sizes[best])
+
+
+def learned_scenes() -> None:
+    """Objects with a cluster of their own once the scene is learned, and on the same frames without that."""
+    shares = {"scene learned": (Counter[str](), Counter[str]()), "whole frames": (Counter[str](), Counter[str]())}
+    known = []
+    for seed in LEARNED_SEEDS:
+        learning = InfraLidarPipeline(InfraLidarConfig())
+        whole = InfraLidarPipeline(InfraLidarConfig(background=BackgroundConfig(enabled=False)))
+        for k, frame in enumerate(turns(seed, 60, LEARNED_FRAMES, 1800)):
+            result = learning.process(k * 100_000_000 + 1, frame.points)
+            if k < 10:
+                whole.process(k * 100_000_000 + 1, frame.points)  # it calibrates
+            if not result.background.any() or k % 10:
+                continue
+            known.append(result.background.mean())
+            plain = whole.process(k * 100_000_000 + 1, frame.points)
+            inside = np.hypot(frame.points[:, 0], frame.points[:, 1]) < NEAR_M
+            for each, counted in zip((result, plain), shares.values(), strict=True):
+                _count_own(frame, inside, each.cluster_id, *counted)
+    for name, (good, total) in shares.items():
+        each = ", ".join(f"{k} {good[k] / total[k]:.1%} of {total[k]}" for k in sorted(total))
+        print(f"  {name:14} own cluster: {each}")
+    print(f"  {np.mean(known):.0%} of the returns are known")
 
 
 def argoverse() -> None:
@@ -200,6 +227,8 @@ def main() -> None:
     ground_and_clusters(streets(KINDS, 60) + streets(("open",), 160))
     print("on a slope, beside a bus, in a crowd")
     ground_and_clusters(streets(BESIDE_THE_POLE, 60))
+    print(f"\n{len(LEARNED_SEEDS)} streets after 20 seconds of learning, within {NEAR_M:g} m")
+    learned_scenes()
     print("\nArgoverse 2 sweep, ground against the dataset's ground map")
     argoverse()
     print(f"\nlabelled boxes of {MIN_POINTS} points or more, recorded from vehicles, with the shipped forest")
