@@ -165,3 +165,5 @@ def _take_over(track: Any, better: Any) -> None:
     track.frames, track.run, track.presence, track.fixture = better.frames, better.run, better.presence, better.fixture
     track.seen_ns, track.points, track.detection = better.seen_ns, better.points, better.detection
     track.moving = track.moving or better.moving
+    if not track.moving:  # pieces of what stands take turns, and such a way is none: it is looked at anew
+        track.frames = track.run = 0
