@@ -17,7 +17,7 @@ from services.infra_lidar.ground import Ground, Levelled
 from services.infra_lidar.kernels_ground import beams_seen
 from services.infra_lidar.structure import StructureMap
 
-WATCH_EVERY = 7  # of the points, odd: so that every beam is among them
+WATCH_EVERY = 13  # of the points, odd: so that every beam is among them
 
 
 @dataclass(frozen=True)
