@@ -46,7 +46,7 @@ def columns_of(flat, at, width):  # type: ignore[no-untyped-def]
 def fetch_ahead(flat, at, width):  # type: ignore[no-untyped-def]
     """Bring rows nearer that come AHEAD of those at ``at``, LANES of them."""
     first = at + AHEAD * width
-    if width == 5 and LANES == 16:  # spelled out: a loop of five takes as long as all else that is done with them
+    if width == 5 and LANES == 16:  # spelled out: a loop of five costs more than they do
         prefetch(flat, first)
         prefetch(flat, first + 16)
         prefetch(flat, first + 32)
