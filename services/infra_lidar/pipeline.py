@@ -20,7 +20,6 @@ from services.infra_lidar.scene import Parted, Scene
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
 
 _IDENTITY = np.eye(4)
-SURE = 0.7  # a cluster of this confidence is kept out of the background
 
 
 class InfraLidarPipeline:
@@ -88,7 +87,7 @@ class InfraLidarPipeline:
 
         # 6. Learn the fixed scene, as long as it is not known. Then: can the sensor see at all?
         if self.config.background.enabled and not parted.sifted:  # a sifted frame teaches nothing
-            known = self.scene.learn(stamp_ns, points, parted, _road_user(clusters, len(points)))
+            known = self.scene.learn(stamp_ns, points, parted, _road_users(clusters, len(points)))
             if known is not None:
                 self.tracker.forget(_vanished(known, clusters))  # every other track keeps its id
         watch.lap("learn")
@@ -136,10 +135,10 @@ def _checked(points: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(points, dtype=np.float32)
 
 
-def _road_user(clusters: ClusterSet, n: int) -> np.ndarray:
-    """(N,) bool: points of clusters that are road users for all we can tell."""
-    user, of_point = (clusters.classes != BACKGROUND) & (clusters.confidences >= SURE), np.zeros(n, bool)
-    of_point[clusters.members] = np.repeat(user, clusters.counts)
+def _road_users(clusters: ClusterSet, n: int) -> np.ndarray:
+    """(N,) float32: how sure it is that a point is of a road user, 0 where its cluster is background or none."""
+    sure, of_point = np.where(clusters.classes == BACKGROUND, 0.0, clusters.confidences), np.zeros(n, np.float32)
+    of_point[clusters.members] = np.repeat(sure, clusters.counts)
     return of_point
 
 

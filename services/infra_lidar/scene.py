@@ -17,6 +17,7 @@ from services.infra_lidar.ground import Ground, Levelled
 from services.infra_lidar.kernels_ground import beams_seen
 from services.infra_lidar.structure import StructureMap
 
+SURE = 0.7  # from this confidence on a road user speaks against what is seen in its place being background
 WATCH_EVERY = 13  # of the points, odd: so that every beam is among them
 
 
@@ -63,7 +64,7 @@ class Scene:
         return self._rest(stamp_ns, points, sifted, calibration)
 
     def learn(self, stamp_ns: int, points: np.ndarray, parted: Parted, road_user: np.ndarray) -> np.ndarray | None:
-        """Teach the background a whole frame; road_user (N,) bool: points of clusters that are no background.
+        """Teach the background a whole frame; road_user (N,) float32: how sure it is that a point is of a road user.
 
         Returns (N,) bool, the points that are background from now on, when this frame ended the learning; else None.
         """
@@ -74,10 +75,10 @@ class Scene:
             self.background.restart()
         if self.background.model is not None:
             return None
-        users = self.background.learn(stamp_ns, points, parted.ground, road_user, self.ground.surface)
+        users = self.background.learn(stamp_ns, points, parted.ground, road_user >= SURE, self.ground.surface)
         if self.background.model is None or users is None:
             return None
-        drawn = self._structure.draw(parted.frame, road_user | users)
+        drawn = self._structure.draw(parted.frame, (road_user > 0.0) | users)  # who is not sure to be one may go, too
         self.background.model = replace(self.background.model, structure=drawn)
         sifted = self.background.sift(points, self._config.blindness.near_m)
         return np.zeros(len(points), bool) if sifted is None else sifted.known

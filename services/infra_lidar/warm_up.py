@@ -110,7 +110,7 @@ def shared_out(processors: int) -> list[list[str]]:
 def compile_scene(config: InfraLidarConfig) -> None:
     """Ground and background, and whether people are part of it, until the pole is looked after again."""
     frame, pipeline, people = made_up_frame(), InfraLidarPipeline(config), two_people()
-    scene, nobody = pipeline.scene, np.zeros(len(frame), bool)
+    scene, nobody = pipeline.scene, np.zeros(len(frame), np.float32)
     for k in STEPS:
         stamp_ns = (10 + k) * FRAME_NS
         parted = scene.part(stamp_ns, frame, pipeline.calibration.update(frame))

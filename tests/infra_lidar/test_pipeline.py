@@ -6,6 +6,7 @@ import pytest
 
 from common.codec import encode
 from common.sim import lidar128
+from services.infra_lidar.classes import BACKGROUND, CLASSES, UNKNOWN
 from services.infra_lidar.config import BackgroundConfig, ClusteringConfig, GroundConfig, InfraLidarConfig
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.source import surveyed_pose
@@ -127,6 +128,28 @@ def test_objects_are_found_as_before_once_the_scene_is_learned(scene_frame):
     assert (result.cluster_id[seen_before] >= 0).mean() > 0.97
     truly_ground = truth == -2
     assert (result.ground == truly_ground)[np.abs(level_z) < 2].mean() > 0.94
+
+
+def _structure_learned(monkeypatch, label, confidence):
+    """Bird's-eye cells of fixed structure, when every cluster was called the same all along."""
+    pipeline, frame = InfraLidarPipeline(InfraLidarConfig(background=LEARN_FAST)), made_up_frame()
+    recognise = pipeline.classifier.recognise
+
+    def called(*clusters):
+        features, labels, _, probabilities = recognise(*clusters)
+        return features, np.full_like(labels, label), np.full(len(labels), confidence, np.float32), probabilities
+
+    monkeypatch.setattr(pipeline.classifier, "recognise", called)
+    found = [len(pipeline.process(_stamp(k), frame).clusters) for k in range(14)]
+    assert found[0] > 0
+    return int(np.bitwise_count(pipeline.scene.background.model.structure).sum())
+
+
+def test_who_may_be_a_road_user_as_learning_ends_is_not_drawn_as_structure(monkeypatch):
+    fixed = _structure_learned(monkeypatch, BACKGROUND, 0.9)
+    assert fixed > 0
+    assert _structure_learned(monkeypatch, CLASSES.index("car"), 0.5) < fixed
+    assert _structure_learned(monkeypatch, CLASSES.index("car"), 0.5) == _structure_learned(monkeypatch, UNKNOWN, 0.3)
 
 
 def test_recalibration_begins_anew():
