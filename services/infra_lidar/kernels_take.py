@@ -17,17 +17,20 @@ def take_out(points, offsets, source, box, group, s, scratch):  # type: ignore[n
     """Copies of groups of clusters.
 
     points (4, T), offsets (K + 1,), source (T,) and box (K, 8): clusters as ``kernels_clusters.regroup`` leaves them.
-    group (K,) int32: each one's group, named by one of its members; box is rewritten there. s: settings, as in
-    ``kernels_steps``, only groups of a possible size are taken; None = all. scratch (3 or more, T or more) float32.
+    group (K,) int32: the number of each one's group, below K; box is rewritten for the first of several. s: settings,
+    as in ``kernels_steps``, only groups of a possible size are taken; None = all. scratch (3 or more, T or more)
+    float32.
     Returns planar (3, M) of the points by group, with room for a vector behind it, their source (M,), offsets (G + 1,),
     and box (G, 8).
     """
     number, first, following = _members(group, offsets)
     groups, total = 0, 0
     for g in range(len(group)):
-        if number[g] > 0 and following[first[g]] >= 0:
-            _measure_group(points, offsets, first[g], following, scratch, box, g)
-        if number[g] > 0 and (s is None or _possible(box[g], number[g], s)):
+        if number[g] == 0:
+            continue
+        if following[first[g]] >= 0:
+            _measure_group(points, offsets, first[g], following, scratch, box)
+        if s is None or _possible(box[first[g]], number[g], s):
             groups, total = groups + 1, total + number[g]
         else:
             number[g] = 0
@@ -38,7 +41,7 @@ def take_out(points, offsets, source, box, group, s, scratch):  # type: ignore[n
         if number[g] == 0:
             continue
         for column in range(8):
-            boxes[at, column] = box[g, column]
+            boxes[at, column] = box[first[g], column]
         k = first[g]
         while k >= 0:
             to = _append(points, source, offsets[k], offsets[k + 1], planar, members, to)
@@ -77,17 +80,17 @@ def _append(points, source, first, last, planar, members, to):  # type: ignore[n
 
 
 @inner
-def _measure_group(points, offsets, k, following, scratch, box, g):  # type: ignore[no-untyped-def]
-    """box[g] as that of cluster k and all that follow it."""
-    n, lowest = 0, box[k, 7]
+def _measure_group(points, offsets, head, following, scratch, box):  # type: ignore[no-untyped-def]
+    """box[head] as that of this cluster and all that follow it."""
+    k, n, lowest = head, 0, box[head, 7]
     while k >= 0:
         first, last = offsets[k], offsets[k + 1]
         for i in range(first, last, LANES):
             for row in range(3):
                 copy_first(scratch[row], n + (i - first), points[row], i, np.int32(last - i))
         n, lowest, k = n + (last - first), min(lowest, box[k, 7]), following[k]
-    measure_one(scratch[0, :n], scratch[1, :n], scratch[2, :n], box[g])
-    box[g, 7] = lowest
+    measure_one(scratch[0, :n], scratch[1, :n], scratch[2, :n], box[head])
+    box[head, 7] = lowest
 
 
 @inner
