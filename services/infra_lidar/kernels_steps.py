@@ -61,9 +61,7 @@ def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touche
     grouped, offsets, index = sets[0][: 4 * total].reshape(4, total), first[0][: count + 1], first[1][:total]
 
     # Pieces of vehicles
-    group = np.empty(count, np.int32)
-    for k in range(count):
-        group[k] = k
+    group = _each_alone(count)
     if s.fragments:
         counts, turned = offsets[1:] - offsets[:-1], directions(box[:count])
         merge_fragments(box[:count], turned, counts, MIN_FRAGMENT_POINTS, group)
@@ -90,10 +88,16 @@ def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touche
         scratch, second[0], sets[1], second[1], box,
     )  # fmt: skip
     grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
+    return take_out(grouped, offsets, index, box, _each_alone(count), None, sets[0].reshape(4, room))
+
+
+@inner
+def _each_alone(count):  # type: ignore[no-untyped-def]
+    """(count,) int32: every cluster is a group of its own."""
     group = np.empty(count, np.int32)
     for k in range(count):
         group[k] = k
-    return take_out(grouped, offsets, index, box, group, None, sets[0].reshape(4, room))
+    return group
 
 
 @inner
