@@ -23,14 +23,16 @@ from services.infra_lidar.ground import Levelled
 class ClusterPoints:
     """Clusters of one frame in the level frame.
 
-    planar: (3, M) float32 x, y, z, grouped; cluster k has planar[:, offsets[k]:offsets[k + 1]], and behind the last row
-    there is room for a vector. members: (M,) int32, the index of these points in the frame. offsets: (K + 1,) int32.
-    box: (K, 8) float32: centre x, y, z, length, width, height, yaw, gap to the road.
+    planar: (3, S) float32 x, y, z, grouped; cluster k has planar[:, offsets[k]:offsets[k + 1]], and behind the last row
+    there is room for a vector. Of a large cluster these are so many of its points as tell its shape, evenly drawn; all
+    of them, by their index in the frame, are members[member_offsets[k]:member_offsets[k + 1]], (M,) int32. box: (K, 8)
+    float32: centre x, y, z, length, width, height, yaw, gap to the road.
     """
 
     planar: np.ndarray
-    members: np.ndarray
     offsets: np.ndarray
+    members: np.ndarray
+    member_offsets: np.ndarray
     box: np.ndarray
 
     def __len__(self) -> int:
@@ -38,28 +40,28 @@ class ClusterPoints:
 
     @property
     def points(self) -> np.ndarray:
-        """(M, 3) float32, the same points row by row."""
+        """(S, 3) float32, the points that tell the shapes, row by row."""
         return self.planar.T
 
     @property
     def counts(self) -> np.ndarray:
         """(K,) points per cluster."""
-        return self.offsets[1:] - self.offsets[:-1]
+        return self.member_offsets[1:] - self.member_offsets[:-1]
 
     def cluster_id(self, n: int) -> np.ndarray:
         """(N,) int32: the cluster of each point of a frame of n, -1 = none."""
-        return of_points(self.members, self.offsets, n)
+        return of_points(self.members, self.member_offsets, n)
 
     @property
     def means(self) -> np.ndarray:
-        """(K, 3) float64, the mean of each cluster's points."""
+        """(K, 3) float64, the mean of those of each cluster."""
         means = np.empty((len(self), 3))
         clusters.means(self.planar, self.offsets, means)
         return means
 
 
 def of_points(members: np.ndarray, offsets: np.ndarray, n: int) -> np.ndarray:
-    """(N,) int32: the cluster of each point of a frame of n, -1 = none; members and offsets as in ``ClusterPoints``."""
+    """(N,) int32: the cluster of each point of a frame of n, -1 = none; members and their offsets as in ``ClusterPoints``."""
     of_point = np.full(n, -1, np.int32)
     of_point[members] = np.repeat(np.arange(len(offsets) - 1, dtype=np.int32), np.diff(offsets))
     return of_point
@@ -77,7 +79,8 @@ class Clustering:
         self._grid = np.zeros((side, words, 4), np.uint64)
         self._touched = np.zeros((side, (words + 63) // 64), np.uint64)
         self._row_start = np.zeros(side + 1, np.int32)
-        self._settings, self._look = _settings(config, cells.per_m), _second_look(config)
+        self._look = _second_look(config)
+        self._settings = _settings(config, cells.per_m, all_points=self._look is not None)
 
     @property
     def nbytes(self) -> int:
@@ -97,7 +100,7 @@ class Clustering:
         return ClusterPoints(*found)
 
 
-def _settings(config: ClusteringConfig, per_m: np.float32) -> np.record:
+def _settings(config: ClusteringConfig, per_m: np.float32, all_points: bool) -> np.record:
     """The settings as kernels take them: one record of ``SETTINGS``."""
     made = np.zeros(1, kernels.SETTINGS)
     for name in kernels.SETTINGS.names or ():
@@ -106,6 +109,7 @@ def _settings(config: ClusteringConfig, per_m: np.float32) -> np.record:
     made["per_m"] = per_m
     made["body_m"] = config.body_height_m or np.inf
     made["fewest"] = 1 if config.merge == "fragments" else config.min_points  # smaller components are not looked at
+    made["enough"] = np.iinfo(np.int64).max if all_points else config.shape_points or np.iinfo(np.int64).max
     made["widest"] = config.max_diagonal_m / config.cell_m  # cells only grow with range
     made["two_points"], made["fragments"] = config.min_cell_points > 1, config.merge == "fragments"
     return made[0]

@@ -77,6 +77,7 @@ class ClusteringConfig(Section, frozen=True, kw_only=True):
     connectivity: Literal[4, 8] = 4
     min_points: Annotated[int, Meta(ge=1)] = 10
     max_points: Annotated[int, Meta(ge=1)] = 30_000
+    shape_points: Annotated[int, Meta(ge=0)] = 256  # of a larger piece so many tell box and class; 0 = all
     max_height_m: Positive = 5.0
     min_top_m: float = 0.4  # a cluster that does not reach this far above the road is no road user
     max_diagonal_m: Positive = 20.0
@@ -123,7 +124,7 @@ ARTICLE_GROUND = GroundConfig(
     method="flat", range_max_m=80.0, height_min_m=-1.0, height_max_m=3.0, ring_m=5.0, below_m=0.10, keep_below=True
 )  # fmt: skip
 ARTICLE_CLUSTERING = ClusteringConfig(
-    cell_m=0.15, cell_growth_m=0.0, min_cell_points=2, min_points=20, max_points=15_000, min_top_m=-100.0,
+    cell_m=0.15, cell_growth_m=0.0, min_cell_points=2, min_points=20, max_points=15_000, shape_points=0, min_top_m=-100.0,
     max_diagonal_m=15.0, body_height_m=0.0, trim_ground=True, split="gap", merge="engulfed",
 )  # fmt: skip
 

@@ -29,8 +29,6 @@ from services.infra_lidar.vectors import (
     whole,
 )
 
-ENOUGH = 16  # vectors of a cluster, up to twice as many
-
 
 @inner
 def grid_cells(x, y, scales, per_m, side, row, column):  # type: ignore[no-untyped-def]
@@ -68,7 +66,7 @@ def _cell(x, y, scales, per_m, side):  # type: ignore[no-untyped-def]
 @kernel
 def lie_within(drawn, planar, offsets, ground_z, body_m, scales, per_m, min_share, within):  # type: ignore[no-untyped-def]
     """within (K,) bool: clusters of which ``min_share`` of the points or more are on a map, below and above ``body_m``
-    over the road, ground_z (K,) float32. Of large clusters not every vector of points is asked, but ``ENOUGH``.
+    over the road, ground_z (K,) float32.
 
     drawn (2, side, words) int32: a bit for each cell, the lower ones first. planar (3, M) float32, with room for a
     vector behind it, and offsets (K + 1,): the clusters' points, as in ``ClusterPoints``.
@@ -77,12 +75,11 @@ def lie_within(drawn, planar, offsets, ground_z, body_m, scales, per_m, min_shar
     x, y, z, flat = planar[0], planar[1], planar[2], drawn.reshape(drawn.size)
     for k in range(len(within)):
         first, last = offsets[k], offsets[k + 1]
-        top, hits, asked = splat(ground_z[k] + body_m), splat(np.int32(0)), 0
-        for i in range(first, last, LANES * max(1, (last - first) // (LANES * ENOUGH))):
-            asked += min(LANES, last - i)
+        top, hits = splat(ground_z[k] + body_m), splat(np.int32(0))
+        for i in range(first, last, LANES):
             row, column = _cell(load(x, i), load(y, i), scales, per_m, side)
             row += ones(load(z, i) >= top) * np.int32(side)
             word = gather(flat, row * np.int32(words) + (column >> np.int32(5)))
             hit = (word >> (column & np.int32(31))) & np.int32(1)
             hits += select(lanes() < np.int32(last - i), hit, np.int32(0))
-        within[k] = lane_sum(hits) >= min_share * asked
+        within[k] = lane_sum(hits) >= min_share * (last - first)

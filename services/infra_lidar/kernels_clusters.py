@@ -27,67 +27,108 @@ from services.infra_lidar.vectors import (
 
 @inner
 def regroup(  # type: ignore[no-untyped-def]
-    begin, label, components, fewest, most, across, widest, points, source, scratch, offsets, flat, grouped_source, box
-):
+    begin, label, components, fewest, most, across, widest, enough, points, source, scratch, offsets, shape, flat,
+    grouped_source, box,
+):  # fmt: skip
     """Copy the points so that those of a label lie together, label by label, and measure each of these clusters.
 
     begin (R + 1,) int: where runs of points of one label begin; label (R,) int32 in -1 .. components - 1. -1 is left
     out, and so are labels of fewer than ``fewest`` points or more than ``most``, and those that are more than
-    ``widest`` cells ``across`` (components,), none = unknown. Written: offsets (K + 1,), where each cluster begins;
-    flat, the head of which becomes a (4, T) array of points; grouped_source (T,); box (K, 8), see ``measure``. scratch
-    (2, R + 1 and components + 1 or more) int32 has room for a vector more. Returns (K, T).
+    ``widest`` cells ``across`` (components,), none = unknown. Of a cluster of more than ``enough`` points so many are
+    copied, evenly drawn: they tell its shape. Written: offsets (K + 1,), where each cluster begins in grouped_source
+    (T,), the indices of all its points, and shape (K + 1,), where it begins in flat, the head of which becomes a (4, S)
+    array of points; box (K, 8), see ``measure``. scratch (2, R + 1 and components + 1 or more) int32 has room for a
+    vector more. Returns (K, T, S).
     """
     spans, number = scratch[0], scratch[1]
     begins = spans[: find_runs(label, spans) + 1]  # of runs: those of one label, one behind the other, are one span
-    clusters, total = _number_clusters(begin, label, begins, components, fewest, most, across, widest, number, offsets)
-    there = flat[: 4 * total].reshape(4, total)
-    _arrange(begin, label, begins, number, offsets[:clusters], points, source, there, grouped_source)
-    measure(there, offsets[: clusters + 1], box)
-    return clusters, total
+    clusters = _number_clusters(
+        begin, label, begins, components, fewest, most, across, widest, enough, number, offsets, shape
+    )
+    total, copied = offsets[clusters], shape[clusters]
+    there = flat[: 4 * copied].reshape(4, copied)
+    _arrange(
+        begin, label, begins, number, offsets[: clusters + 1], shape[: clusters + 1], points, source, there,
+        grouped_source,
+    )  # fmt: skip
+    measure(there, shape[: clusters + 1], box)
+    return clusters, total, copied
 
 
 @inner
 def _number_clusters(  # type: ignore[no-untyped-def]
-    begin, label, begins, components, fewest, most, across, widest, number, offsets
+    begin, label, begins, components, fewest, most, across, widest, enough, number, offsets, shape
 ):
-    """number (components + 1,): the cluster that label -1, 0, 1 ... becomes, -1 = left out. Returns (clusters,
-    points)."""
+    """number (components + 1,): the cluster that label -1, 0, 1 ... becomes, -1 = left out. Returns how many."""
     number[: components + 1] = 0
     for r in range(len(begins) - 1):
         number[np.uint32(label[begins[r]] + 1)] += begin[begins[r + 1]] - begin[begins[r]]
     number[0] = -1
-    clusters, total = 0, 0
+    clusters, total, copied = 0, 0, 0
     for c in range(components):
         count = number[c + 1]
         number[c + 1] = -1
         if max(fewest, 1) <= count <= most and (len(across) == 0 or across[c] <= widest):
-            offsets[clusters] = total
+            offsets[clusters], shape[clusters] = total, copied
             number[c + 1] = clusters
             clusters += 1
             total += count
-    offsets[clusters] = total
-    return clusters, total
+            copied += min(count, enough)
+    offsets[clusters], shape[clusters] = total, copied
+    return clusters
 
 
 @inner
-def _arrange(begin, label, begins, number, offsets, points, source, there, there_source):  # type: ignore[no-untyped-def]
+def _arrange(  # type: ignore[no-untyped-def]
+    begin, label, begins, number, offsets, shape, points, source, there, there_source
+):
     """A stable counting sort by the clusters of labels, span by span."""
-    slot, x, y, z, above = offsets.copy(), points[0], points[1], points[2], points[3]
-    there_x, there_y, there_z, there_above = there[0], there[1], there[2], there[3]
+    slot, drawn = offsets.copy(), np.zeros(len(offsets), np.int64)
     for r in range(len(begins) - 1):
         k = number[np.uint32(label[begins[r]] + 1)]
         if k < 0:
             continue
+        k = np.uint32(k)
         first = begin[begins[r]]
-        n, to = begin[begins[r + 1]] - first, slot[np.uint32(k)]
-        slot[np.uint32(k)] += n
+        n, to = begin[begins[r + 1]] - first, slot[k]
+        slot[k] += n
         for i in range(0, n, LANES):
-            a, b, left = first + i, to + i, np.int32(n - i)
-            copy_first(there_x, b, x, a, left)
-            copy_first(there_y, b, y, a, left)
-            copy_first(there_z, b, z, a, left)
-            copy_first(there_above, b, above, a, left)
-            copy_first(there_source, b, source, a, left)
+            copy_first(there_source, to + i, source, first + i, np.int32(n - i))
+        number_of, copied, seen = offsets[k + 1] - offsets[k], shape[k + 1] - shape[k], to - offsets[k]
+        if copied == number_of:
+            _copy(points, first, n, there, shape[k] + seen)
+        else:
+            drawn[k] = _draw(points, first, n, seen, number_of, copied, there, shape[k], drawn[k])
+
+
+@inner
+def _copy(points, first, n, there, to):  # type: ignore[no-untyped-def]
+    """Copy n points (4, N) from ``first`` on to there (4, S) from ``to`` on."""
+    x, y, z, above = points[0], points[1], points[2], points[3]
+    there_x, there_y, there_z, there_above = there[0], there[1], there[2], there[3]
+    for i in range(0, n, LANES):
+        a, b, left = first + i, to + i, np.int32(n - i)
+        copy_first(there_x, b, x, a, left)
+        copy_first(there_y, b, y, a, left)
+        copy_first(there_z, b, z, a, left)
+        copy_first(there_above, b, above, a, left)
+
+
+@inner
+def _draw(points, first, n, seen, number, wanted, there, to, drawn):  # type: ignore[no-untyped-def]
+    """Copy those of n points, from ``first`` on, that are among the ``wanted`` of a cluster's ``number``.
+
+    ``seen`` points of it came before, and the ``drawn`` copied ones of them lie from ``to`` on. The j-th that is wanted
+    is point j * number / wanted. Returns how many are drawn now.
+    """
+    step = (np.int64(number) << 16) // wanted
+    at = (drawn * step) >> 16
+    while drawn < wanted and at < seen + n:
+        for row in range(4):
+            there[row, to + drawn] = points[row, first + (at - seen)]
+        drawn += 1
+        at = (drawn * step) >> 16
+    return drawn
 
 
 @inner

@@ -22,11 +22,13 @@ SETTINGS = np.dtype(
     [(name, np.float32) for name in (
         "per_m", "body_m", "max_height_m", "min_top_m", "max_diagonal_m",
     )]
-    + [(name, np.int64) for name in ("connectivity", "min_points", "max_points", "fewest", "widest")]
+    + [(name, np.int64) for name in (
+        "connectivity", "min_points", "max_points", "fewest", "widest", "enough",
+    )]
     + [(name, np.bool_) for name in ("two_points", "fragments")]
 )  # fmt: skip
 LOOK = np.dtype([(name, np.bool_) for name in ("trim", "split", "engulf")])
-INTS, FLOATS = 13, 8  # rows of scratch
+INTS, FLOATS = 14, 8  # rows of scratch
 MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by: they can only be adopted
 
 
@@ -35,11 +37,11 @@ def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touche
     """Clusters of m points (4, m or more) float32, x, y, z and height above the road, with index ``source`` (m,) in the
     frame.
 
-    s: a record of ``SETTINGS``; look: one of ``LOOK`` for the article's second look, else None. scales: of a
-    ``CellGrid``. ints (INTS, m + 1 or more) int32 and floats (FLOATS, m or more) float32 are scratch, with room for a
-    vector more; grid, touched and row_start as in ``kernels_labels``.
-    Returns copies: planar (3, T) float32 of the points by cluster, with room for a vector behind it, members (T,)
-    int32, their index in the frame, offsets (K + 1,) int32, box (K, 8) float32.
+    s: a record of ``SETTINGS``; look: one of ``LOOK`` for the article's second look, which goes by all points, else
+    None. scales: of a ``CellGrid``. ints (INTS, m + 1 or more) int32 and floats (FLOATS, m or more) float32 are
+    scratch, with room for a vector more; grid, touched and row_start as in ``kernels_labels``.
+    Returns copies, see ``ClusterPoints``: planar (3, S) float32, with room for a vector behind it, offsets (K + 1,)
+    int32, members (T,) int32, member_offsets (K + 1,) int32, box (K, 8) float32.
     """
     # Components of cells that are occupied as low as a body; what is higher joins tall ones, or is on its own
     begin, label, across = ints[0], ints[1], ints[2]
@@ -53,12 +55,12 @@ def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touche
     scratch, room = ints[3:5], floats.shape[1]
     sets = floats[:4].reshape(4 * room), floats[4:8].reshape(4 * room)
     first, second = (ints[9], ints[10]), (ints[11], ints[12])  # offsets and index in the frame
-    box = np.empty((components, 8), np.float32)
-    count, total = regroup(
-        begin[: runs + 1], label[:runs], components, s.fewest, s.max_points, across[:components], s.widest, points,
-        source, scratch, first[0], sets[0], first[1], box,
+    box, shape = np.empty((components, 8), np.float32), ints[13]
+    count, total, copied = regroup(
+        begin[: runs + 1], label[:runs], components, s.fewest, s.max_points, across[:components], s.widest, s.enough,
+        points, source, scratch, first[0], shape, sets[0], first[1], box,
     )  # fmt: skip
-    grouped, offsets, index = sets[0][: 4 * total].reshape(4, total), first[0][: count + 1], first[1][:total]
+    grouped, offsets, index = sets[0][: 4 * copied].reshape(4, copied), first[0][: count + 1], first[1][:total]
 
     # Pieces of vehicles
     group = _each_alone(count)
@@ -69,12 +71,12 @@ def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touche
 
     # Only what is of a possible size; and the article's second look
     if look is None:
-        return take_out(grouped, offsets, index, box, group, s, sets[1].reshape(4, room))
+        return take_out(grouped, shape[: count + 1], index, offsets, box, group, s, sets[1].reshape(4, room))
     all_of_them, anywhere = np.int64(1), np.int64(0)  # as literals they would be compiled once more
     if s.fragments:
-        count, total = regroup(
-            offsets, group, count, all_of_them, total, across[:0], anywhere, grouped, index, scratch, second[0],
-            sets[1], second[1], box,
+        count, total, _ = regroup(
+            offsets, group, count, all_of_them, total, across[:0], anywhere, s.enough, grouped, index, scratch,
+            second[0], shape, sets[1], second[1], box,
         )  # fmt: skip
         grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
         first, sets = second, (sets[1], sets[0])
@@ -83,12 +85,12 @@ def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touche
     possible(box[:count], offsets, s, label)
     labels = second_look(grouped, offsets, box[:count], label, look, sets[1].reshape(4, room), of_points)
     runs, box = _runs(of_points, begin, ints[1]), np.empty((labels, 8), np.float32)
-    count, total = regroup(
-        begin[: runs + 1], ints[1][:runs], labels, all_of_them, total, across[:0], anywhere, grouped, index,
-        scratch, second[0], sets[1], second[1], box,
+    count, total, _ = regroup(
+        begin[: runs + 1], ints[1][:runs], labels, all_of_them, total, across[:0], anywhere, s.enough, grouped, index,
+        scratch, second[0], shape, sets[1], second[1], box,
     )  # fmt: skip
     grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
-    return take_out(grouped, offsets, index, box, _each_alone(count), None, sets[0].reshape(4, room))
+    return take_out(grouped, offsets, index, offsets, box, _each_alone(count), None, sets[0].reshape(4, room))
 
 
 @inner

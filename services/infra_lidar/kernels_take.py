@@ -13,30 +13,32 @@ from services.infra_lidar.vectors import LANES, copy_first
 
 
 @inner
-def take_out(points, offsets, source, box, group, s, scratch):  # type: ignore[no-untyped-def]
+def take_out(points, shape, source, offsets, box, group, s, scratch):  # type: ignore[no-untyped-def]
     """Copies of groups of clusters.
 
-    points (4, T), offsets (K + 1,), source (T,) and box (K, 8): clusters as ``kernels_clusters.regroup`` leaves them.
-    group (K,) int32: the number of each one's group, below K; box is rewritten for the first of several. s: settings,
-    as in ``kernels_steps``, only groups of a possible size are taken; None = all. scratch (3 or more, T or more)
-    float32.
-    Returns planar (3, M) of the points by group, with room for a vector behind it, their source (M,), offsets (G + 1,),
-    and box (G, 8).
+    points (4, S) by shape (K + 1,), source (T,) by offsets (K + 1,) and box (K, 8): clusters as
+    ``kernels_clusters.regroup`` leaves them. group (K,) int32: the number of each one's group, below K; box is
+    rewritten for the first of several. s: settings, as in ``kernels_steps``, only groups of a possible size are taken;
+    None = all. scratch (3 or more, S or more) float32.
+    Returns planar (3, P) of the points by group, with room for a vector behind it, where each group begins in it
+    (G + 1,), members (M,), where each begins in those (G + 1,), and box (G, 8).
     """
     number, first, following = _members(group, offsets)
-    groups, total = 0, 0
+    groups, total, copied = 0, 0, 0
     for g in range(len(group)):
         if number[g] == 0:
             continue
         if following[first[g]] >= 0:
-            _measure_group(points, offsets, first[g], following, scratch, box)
+            _measure_group(points, shape, first[g], following, scratch, box)
         if s is None or _possible(box[first[g]], number[g], s):
-            groups, total = groups + 1, total + number[g]
+            groups, total, k = groups + 1, total + number[g], first[g]
+            while k >= 0:
+                copied, k = copied + (shape[k + 1] - shape[k]), following[k]
         else:
             number[g] = 0
-    planar = np.empty(3 * total + LANES, np.float32)[: 3 * total].reshape(3, total)
-    members, begins = np.empty(total, np.int32), np.zeros(groups + 1, np.int32)
-    boxes, at, to = np.empty((groups, 8), np.float32), 0, 0
+    planar = np.empty(3 * copied + LANES, np.float32)[: 3 * copied].reshape(3, copied)
+    members, boxes, at = np.empty(total, np.int32), np.empty((groups, 8), np.float32), 0
+    begins, member_begins, to, members_to = np.zeros(groups + 1, np.int32), np.zeros(groups + 1, np.int32), 0, 0
     for g in range(len(group)):
         if number[g] == 0:
             continue
@@ -44,11 +46,12 @@ def take_out(points, offsets, source, box, group, s, scratch):  # type: ignore[n
             boxes[at, column] = box[first[g], column]
         k = first[g]
         while k >= 0:
-            to = _append(points, source, offsets[k], offsets[k + 1], planar, members, to)
+            to = _append(points, shape[k], shape[k + 1], planar, to)
+            members_to = _append_indices(source, offsets[k], offsets[k + 1], members, members_to)
             k = following[k]
         at += 1
-        begins[at] = to
-    return planar, members, begins, boxes
+        begins[at], member_begins[at] = to, members_to
+    return planar, begins, members, member_begins, boxes
 
 
 @inner
@@ -69,13 +72,19 @@ def _members(group, offsets):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _append(points, source, first, last, planar, members, to):  # type: ignore[no-untyped-def]
+def _append(points, first, last, planar, to):  # type: ignore[no-untyped-def]
     """Copy points first to last behind those that are there; returns how many there are."""
     for i in range(first, last, LANES):
-        at, left = to + (i - first), np.int32(last - i)
         for row in range(3):
-            copy_first(planar[row], at, points[row], i, left)
-        copy_first(members, at, source, i, left)
+            copy_first(planar[row], to + (i - first), points[row], i, np.int32(last - i))
+    return to + (last - first)
+
+
+@inner
+def _append_indices(source, first, last, members, to):  # type: ignore[no-untyped-def]
+    """The same for indices in the frame."""
+    for i in range(first, last, LANES):
+        copy_first(members, to + (i - first), source, i, np.int32(last - i))
     return to + (last - first)
 
 

@@ -108,7 +108,7 @@ class InfraLidarPipeline:
         index[self.scene.structural(parted, found, road_z_m)] = BACKGROUND
         return ClusterSet(
             classes=index, confidences=confidence, probabilities=probabilities, boxes=found.box[:, :7],
-            features=features, offsets=found.offsets, members=found.members, ground_z_m=road_z_m,
+            features=features, offsets=found.member_offsets, members=found.members, ground_z_m=road_z_m,
         )  # fmt: skip
 
     def _detections(self, clusters: ClusterSet, found: ClusterPoints, T_map_level: np.ndarray) -> Detections:

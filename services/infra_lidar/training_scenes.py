@@ -66,7 +66,7 @@ def _thinned(view: Scan, ring_step: int) -> Scan:
 
 def _truth(view: Scan, found: ClusterPoints) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     labels, purity, actor = np.zeros(len(found), np.int64), np.zeros(len(found)), np.full(len(found), -1, np.int64)
-    for k, rows in enumerate(np.split(found.members, found.offsets[1:-1])):
+    for k, rows in enumerate(np.split(found.members, found.member_offsets[1:-1])):
         owners, first, count = np.unique(view.actor_id[rows], return_index=True, return_counts=True)
         best = int(count.argmax())
         actor[k], purity[k] = owners[best], count[best] / len(rows)

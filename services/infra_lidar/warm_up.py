@@ -175,7 +175,8 @@ def two_people() -> ClusterPoints:
     planar = np.empty(3 * n + LANES, np.float32)[: 3 * n].reshape(3, n)
     planar[:] = np.random.default_rng(7).uniform(low, high, (n, 3)).T
     box = np.array([[*(low + high) / 2, *(high - low), 0.0, low[2]]] * 2, np.float32)
-    return ClusterPoints(planar, np.arange(n, dtype=np.int32), np.array([0, n // 2, n], np.int32), box)
+    offsets = np.array([0, n // 2, n], np.int32)
+    return ClusterPoints(planar, offsets, np.arange(n, dtype=np.int32), offsets, box)
 
 
 PACKET_KERNELS = {"velodyne": velodyne.decode_nothing, "ouster": ouster.decode_nothing}
