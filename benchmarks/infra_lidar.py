@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import gc
 import os
+from collections.abc import Callable
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from operator import attrgetter
 from time import thread_time
 
 import numpy as np
@@ -27,7 +29,8 @@ from services.infra_lidar.calibration import Calibration
 from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
 from services.infra_lidar.forest import Forest
 from services.infra_lidar.pipeline import InfraLidarPipeline
-from services.infra_lidar.warm_up import warm_up
+from services.infra_lidar.range_image import Returns
+from services.infra_lidar.warm_up import compile_images, warm_up
 
 FRAMES, ROUNDS = 24, 5
 
@@ -103,21 +106,25 @@ def _nearest(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def default_design(objects: int, plain_ms: float) -> None:
     """(b) Our own design, first on whole frames, then with the scene learned: in the 20 seconds after these frames."""
     frames = frames_of(7, objects, FRAMES)
-    calibration, background = learned_scene(objects)
-    whole = InfraLidarConfig(background=BackgroundConfig(enabled=False))
-    for name, config in (("whole frames", whole), ("scene learned", InfraLidarConfig())):
+    calibration, by_points, by_ranges = learned_scene(objects)
+    whole, learned = InfraLidarConfig(background=BackgroundConfig(enabled=False)), InfraLidarConfig()
+    for name, config, background, form in (
+        ("whole frames", whole, None, attrgetter("points")),
+        ("scene learned", learned, by_points, attrgetter("points")),
+        ("  from ranges", learned, by_ranges, attrgetter("image")),
+    ):
         spent: list[float] = []
         stages: list[dict[str, float]] = []
         for _ in range(ROUNDS):
             pipeline, total_ms = InfraLidarPipeline(config, calibration, background), []
             for k, frame in enumerate(frames):
-                points = as_arrived(frame).points
+                returns = form(as_arrived(frame))
                 t = thread_time()
-                result = pipeline.process(START_NS + k * 100_000_000, points)
+                result = pipeline.process(START_NS + k * 100_000_000, returns)
                 total_ms.append((thread_time() - t) * 1e3)
                 stages.append(result.stage_ms)
             spent.append(float(np.median(total_ms)))
-        own, known = _own_clusters(frames, InfraLidarPipeline(config, calibration, background))
+        own, known = _own_clusters(frames, InfraLidarPipeline(config, calibration, background), form)
         median_ms = float(np.median(spent))
         print(
             f"  {name:14} {median_ms:7.2f} ms ({plain_ms / median_ms:4.0f} x plain), rounds {min(spent):.2f} to "
@@ -126,23 +133,32 @@ def default_design(objects: int, plain_ms: float) -> None:
         )
 
 
-def learned_scene(objects: int) -> tuple[Calibration, BackgroundModel]:
-    """What a pole knows after its first 20 seconds of that street."""
-    pipeline = InfraLidarPipeline(InfraLidarConfig())
+def learned_scene(objects: int) -> tuple[Calibration, BackgroundModel, BackgroundModel]:
+    """What a pole knows after its first 20 seconds of that street, seen as points and as ranges."""
+    of_points, of_ranges = InfraLidarPipeline(InfraLidarConfig()), InfraLidarPipeline(InfraLidarConfig())
     for k, frame in enumerate(turns(7, objects, FRAMES + 300)):
         if k >= FRAMES:
-            pipeline.process(START_NS + k * 100_000_000, frame.points)
-        background, calibration = pipeline.scene.background.model, pipeline.calibration.settled_calibration
-        if background is not None and calibration is not None:
-            return calibration, background
+            of_points.process(START_NS + k * 100_000_000, frame.points)
+            of_ranges.process(START_NS + k * 100_000_000, frame.image)
+        models = [pipeline.scene.background.model for pipeline in (of_points, of_ranges)]
+        calibration = of_points.calibration.settled_calibration
+        if models[0] is not None and models[1] is not None and calibration is not None:
+            return calibration, models[0], models[1]
     raise RuntimeError("nothing was learned in 30 seconds")
 
 
-def _own_clusters(frames: list[Frame], pipeline: InfraLidarPipeline) -> tuple[float, float]:
+def _own_clusters(
+    frames: list[Frame], pipeline: InfraLidarPipeline, form: Callable[[Frame], Returns]
+) -> tuple[float, float]:
     """Share of the objects with a cluster of their own, and of the returns that are known; means over the frames."""
-    results = [pipeline.process(START_NS + k * 100_000_000, frame.points) for k, frame in enumerate(frames)]
-    own = [own_cluster_share(frame, result.cluster_id) for frame, result in zip(frames, results, strict=True)]
-    return float(np.mean(own)), float(np.mean([result.background.mean() for result in results]))
+    own, known = [], []
+    for k, frame in enumerate(frames):
+        returns = form(frame)
+        result = pipeline.process(START_NS + k * 100_000_000, returns)
+        of_point = result.cluster_id if returns is frame.points else result.cluster_id[frame.place]
+        own.append(own_cluster_share(frame, of_point))
+        known.append(result.background.sum() / result.points_in)
+    return float(np.mean(own)), float(np.mean(known))
 
 
 def scaling() -> None:
@@ -192,6 +208,7 @@ def main() -> None:
     """Both comparisons at 40 and 160 objects, then how time and memory grow."""
     model, forest = train()
     warm_up(InfraLidarConfig(), lambda _: None)
+    compile_images()
     gc.freeze()  # as the service does: what is there by now is not looked through for garbage again
     for objects in (40, 160):
         plain_ms = compare(objects, model, forest)

@@ -9,13 +9,19 @@ import numpy as np
 
 from common.geometry import rotation_between, transform
 from common.sim import lidar128, roadside, world
+from services.infra_lidar.range_image import RangeImage
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One turn with its truth."""
+    """One turn with its truth.
+
+    image: what the sensor measured, a row a column; ``place`` (N,) is where the points are in it.
+    """
 
     points: np.ndarray
+    image: RangeImage
+    place: np.ndarray
     actor: np.ndarray
     kind: np.ndarray
     T_level_sensor: np.ndarray
@@ -39,12 +45,34 @@ def turns(seed: int, objects: int, count: int, columns: int = 2300, kind: str = 
         rotation = rotation_between(T[:3, :3].T @ normal, np.array([0.0, 0.0, 1.0]))
         points = np.column_stack([scan.xyz, scan.intensity, scan.ring]).astype(np.float32)
         level = transform(rotation, np.array([0.0, 0.0, height]))
-        yield Frame(points, scan.actor_id, np.array(lidar128.KINDS)[scan.kind], level)
+        image, place = image_of(scan, columns)
+        yield Frame(points, image, place, scan.actor_id, np.array(lidar128.KINDS)[scan.kind], level)
+
+
+def image_of(scan: lidar128.Scan, columns: int) -> tuple[RangeImage, np.ndarray]:
+    """The range image of a turn, and (N,) the places of its returns in it."""
+    turned = np.pi - np.arctan2(scan.xyz[:, 1], scan.xyz[:, 0])
+    column = np.round(turned * columns / (2 * np.pi) - 0.5).astype(int) % columns
+    range_m, intensity = np.zeros((columns, lidar128.RINGS), np.float32), np.zeros((columns, lidar128.RINGS), np.uint8)
+    range_m[column, scan.ring] = np.linalg.norm(scan.xyz, axis=1)
+    intensity[column, scan.ring] = scan.intensity
+    heading, flat, none = lidar128.column_angles(columns), np.cos(lidar128.ELEVATION_RAD), np.zeros(lidar128.RINGS)
+    beams = [flat, none, np.sin(lidar128.ELEVATION_RAD), none, none, none, np.arange(lidar128.RINGS)]
+    image = RangeImage(
+        range_m, intensity, np.cos(heading).astype(np.float32), np.sin(heading).astype(np.float32),
+        np.zeros(columns, np.uint8), np.stack(beams).astype(np.float32),
+    )  # fmt: skip
+    return image, column * lidar128.RINGS + scan.ring
 
 
 def as_arrived(frame: Frame) -> Frame:
     """The frame as a receiver leaves it: just written."""
-    return replace(frame, points=frame.points.copy())
+    return replace(frame, points=frame.points.copy(), image=image_as_arrived(frame.image))
+
+
+def image_as_arrived(image: RangeImage) -> RangeImage:
+    """The same of a range image."""
+    return replace(image, range_m=image.range_m.copy())
 
 
 def own_cluster_share(frame: Frame, cluster_id: np.ndarray) -> float:

@@ -42,7 +42,7 @@ def run(config: InfraLidarConfig) -> bool:
         for stamp_ns, frame in frames:
             if request.taken():
                 pipeline.recalibrate()
-            result = pipeline.process(stamp_ns, frame.points, frame.quality, frame.received_ns)
+            result = pipeline.process(stamp_ns, frame.returns, frame.quality, frame.received_ns)
             publish_tracks(result.tracks)
             if publish_clusters.wanted:
                 publish_clusters(result.clusters_message())

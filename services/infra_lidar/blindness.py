@@ -24,7 +24,7 @@ class FrameQuality:
 
 
 @dataclass(frozen=True)
-class Returns:
+class Seen:
     """What the passes over a frame counted: points, usable returns, returns near the window, beams, sectors."""
 
     points: int
@@ -39,11 +39,11 @@ class BlindnessWatch:
 
     def __init__(self, config: BlindnessConfig) -> None:
         self._config = config
-        self._recent: deque[tuple[Returns, FrameQuality, float]] = deque(maxlen=config.window_frames)
+        self._recent: deque[tuple[Seen, FrameQuality, float]] = deque(maxlen=config.window_frames)
         self._usual: _Typical | None = None
 
     def judge(
-        self, seen: Returns, quality: FrameQuality | None, total_ms: float, complaint: str
+        self, seen: Seen, quality: FrameQuality | None, total_ms: float, complaint: str
     ) -> tuple[Literal["online", "degraded"], str]:
         """State and reason after this frame; ``complaint`` is what calibration has to say."""
         self._recent.append((seen, quality or FrameQuality(), total_ms))

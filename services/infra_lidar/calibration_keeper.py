@@ -9,6 +9,7 @@ import numpy as np
 from services.infra_lidar.calibration import Calibration, Calibrator, fit_level_surface
 from services.infra_lidar.config import CalibrationConfig
 from services.infra_lidar.ground import Levelled
+from services.infra_lidar.range_image import Returns, points_of
 
 LOOKED_AT, WATCH_POINTS = 30_000, 4000  # points of a frame, and of the road near the sensor, that a check goes by
 WATCH_BAND_M = 0.4  # a nudge up to this height error at 20 m is measured, a larger one loses the road and says so
@@ -62,10 +63,10 @@ class CalibrationKeeper:
             return "the road near the sensor is no longer where it was calibrated; recalibrate"
         return ""
 
-    def update(self, points: np.ndarray) -> Calibration:
-        """The calibration for this frame, (N, 3+) float32 sensor frame."""
+    def update(self, returns: Returns) -> Calibration:
+        """The calibration for this frame."""
         if self._calibrator is not None:
-            fresh = self._calibrator.add(points)
+            fresh = self._calibrator.add(points_of(returns))
             if self._calibrator.complete:
                 self._calibrator = Calibrator(self._config) if fresh.refused else None
             if self._current is None or not fresh.refused or self._current.refused:

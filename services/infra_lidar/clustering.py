@@ -61,7 +61,7 @@ class ClusterPoints:
 
 
 def of_points(members: np.ndarray, offsets: np.ndarray, n: int) -> np.ndarray:
-    """(N,) int32: the cluster of each point of a frame of n, -1 = none; members and their offsets as in ``ClusterPoints``."""
+    """(N,) int32: the cluster of each point of a frame of n, -1 = none; members and offsets of ``ClusterPoints``."""
     of_point = np.full(n, -1, np.int32)
     of_point[members] = np.repeat(np.arange(len(offsets) - 1, dtype=np.int32), np.diff(offsets))
     return of_point

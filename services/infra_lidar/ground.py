@@ -79,16 +79,15 @@ class Ground:
         return frame
 
     def remove_known(
-        self, sensor: np.ndarray, source: np.ndarray, T_level_sensor: np.ndarray, surface: np.ndarray,
-        of_all: np.ndarray,
-    ) -> Levelled:  # fmt: skip
+        self, sensor: np.ndarray, source: np.ndarray, T_level_sensor: np.ndarray, surface: np.ndarray
+    ) -> Levelled:
         """The same with a road that is known already: for the few points that are left of a frame, planar (3, n or
-        more) float32, with their index ``source`` (n,) in it. Which are ground is written to ``of_all`` (N,) bool."""
+        more) float32, with their index ``source`` (n,) in it."""
         self.surface[:] = surface
         frame = self._room(len(source))
         m = kernels.find_known(
             sensor, source, T_level_sensor.astype(np.float32), self._settings, self.surface, frame.x, frame.y, frame.z,
-            frame.cell, frame.ground, frame.points, frame.rest, of_all,
+            frame.cell, frame.ground, frame.points, frame.rest,
         )  # fmt: skip
         frame.rest = frame.rest[:m]
         return frame

@@ -10,7 +10,7 @@ from services.infra_lidar.vectors import (
     LANES,
     bits,
     fma,
-    gather_pairs,
+    gather_listed,
     lane_count,
     lane_sum,
     lanes,
@@ -39,13 +39,19 @@ ROAD = np.int32(1 << 30)
 
 
 @inline
+def column_of(x, y, columns):  # type: ignore[no-untyped-def]
+    """Column of directions (x, y) in the grid."""
+    column = smaller(whole((angle(y, x) + PI) * np.float32(columns / (2.0 * np.pi))), np.int32(columns - 1))
+    return larger(column, 0)
+
+
+@inline
 def _cell(x, y, z, ring, has_ring, squared, columns, rows):  # type: ignore[no-untyped-def]
     """Cell of returns in (azimuth, ring), or in (azimuth, elevation) where the cloud has no rings."""
-    column = smaller(whole((angle(y, x) + PI) * np.float32(columns / (2.0 * np.pi))), np.int32(columns - 1))
     row = whole(ring)
     if not has_ring:
         row = whole(z / root(larger(squared, NO_RETURN_M2)) * ROWS_PER_RAD) + np.int32(rows // 2)
-    return larger(column, 0) * np.int32(rows) + smaller(larger(row, 0), np.int32(rows - 1))
+    return column_of(x, y, columns) * np.int32(rows) + smaller(larger(row, 0), np.int32(rows - 1))
 
 
 @kernel
@@ -160,15 +166,15 @@ def _set(bounds, c, at, near, far, tolerance, slope):  # type: ignore[no-untyped
 
 @kernel
 def pack(bounds, road, packed):  # type: ignore[no-untyped-def]
-    """packed (cells, 2) int32 of bounds (cells, 4) float32, two squared intervals, and road (cells,) bool, the
-    background there is road: a word for each interval, so that one look-up of eight bytes tells all about a return."""
-    for c in range(packed.shape[0]):
+    """packed (2, cells) int32 of bounds (cells, 4) float32, two squared intervals, and road (cells,) bool, the
+    background there is road: a word for each interval, the flag is in that of the first."""
+    for c in range(packed.shape[1]):
         for k in range(2):
             first, last = _step(bounds[c, 2 * k]), _step(bounds[c, 2 * k + 1])
             if bounds[c, 2 * k] > bounds[c, 2 * k + 1]:
                 first, last = np.int32(1), np.int32(0)  # nothing lies between one and nought
-            packed[c, k] = first | (last << np.int32(STEP_BITS))
-        packed[c, 0] |= ROAD if road[c] else np.int32(0)
+            packed[k, c] = first | (last << np.int32(STEP_BITS))
+        packed[0, c] |= ROAD if road[c] else np.int32(0)
 
 
 @inner
@@ -180,22 +186,23 @@ def _step(squared):  # type: ignore[no-untyped-def]
 
 
 @inline
-def _between(step, word):  # type: ignore[no-untyped-def]
+def between(step, word):  # type: ignore[no-untyped-def]
+    """Whether steps lie in the interval of a word."""
     return (step >= (word & LAST_STEP)) & (step <= ((word >> STEP_BITS) & LAST_STEP))
 
 
 @kernel
-def sift(points, columns, rows, packed, near_m, known, ground, source, fresh):  # type: ignore[no-untyped-def]
+def sift(points, columns, rows, packed, near_m, source, fresh):  # type: ignore[no-untyped-def]
     """Part returns that were always there from the rest.
 
-    points (N, C) float32 sensor frame; packed (cells, 2) int32. Writes known and ground (N,) bool, and of the M others
-    the index to source (N,) and x, y, z to fresh (3, N or more); outputs have room for a vector more. Returns (M,
-    returns, returns nearer than near_m).
+    points (N, C) float32 sensor frame; packed (2, cells) int32. Writes of the M others the index to source (N,) and
+    x, y, z to fresh (3, N or more); outputs have room for a vector more. Returns (M, returns, returns nearer than
+    near_m).
     """
     n, width = points.shape
     flat, near_m2, m = points.reshape(points.size), near_m * near_m, 0
     returns, near = splat(np.int32(0)), splat(np.int32(0))
-    fresh_x, fresh_y, fresh_z, words = fresh[0], fresh[1], fresh[2], packed.reshape(packed.size)
+    fresh_x, fresh_y, fresh_z, one, other = fresh[0], fresh[1], fresh[2], packed[0], packed[1]
     at, step = np.empty(BLOCK + LANES, np.int32), np.empty(BLOCK + LANES, np.int32)
     for start in range(0, n, BLOCK):
         rows_from, begin = whole_block(flat, width, start, n)
@@ -209,15 +216,13 @@ def sift(points, columns, rows, packed, near_m, known, ground, source, fresh):  
             near += ones(there & (squared < near_m2))
             store(at, i, _cell(x, y, z, ring, width > 4, squared, columns, rows))
             for k in range(0, LANES, 4):  # bring the cells nearer: since the last frame all memory was used for else
-                prefetch(words, 2 * np.int64(at[np.uint32(i + k)]))
+                prefetch(one, np.int64(at[np.uint32(i + k)]))
+                prefetch(other, np.int64(at[np.uint32(i + k)]))
             store(step, i, select(there, smaller((bits(squared) - LEAST_BITS) >> 13, LAST_STEP), NO_STEP))
         for i in range(0, size, LANES):  # a loop of its own: shorter ones overlap better
-            first, second = gather_pairs(packed, at, i)
             own = load(step, i)
-            usual, there = _between(own, first) | _between(own, second), own >= np.int32(0)
-            unusual = there & ~usual
-            store(known, start + i, ~unusual)
-            store(ground, start + i, there & usual & ((first & ROAD) > 0))
+            usual = between(own, gather_listed(one, at, i)) | between(own, gather_listed(other, at, i))
+            unusual = (own >= np.int32(0)) & ~usual
             found = lane_count(unusual)
             if found > 0:
                 x, y, z, _ = columns_of(rows_from, begin + i * width, width)

@@ -69,15 +69,11 @@ def find_ground(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def find_known(sensor, source, T, s, surface, x, y, z, cell, ground, others, rest, of_all):  # type: ignore[no-untyped-def]
+def find_known(sensor, source, T, s, surface, x, y, z, cell, ground, others, rest):  # type: ignore[no-untyped-def]
     """The same with a road that is known already, surface (cells, 3), for returns that are planar already, sensor
-    (3, n or more) float32, and not counted; their index in the whole frame, source (n,), goes to rest, and whether they
-    are ground to ``of_all`` (N,) bool, too. Returns M."""
+    (3, n or more) float32, and not counted; their index in the whole frame, source (n,), goes to rest. Returns M."""
     level_planar(sensor, len(source), T, s, x, y, z, cell)
-    m = label_ground(x, y, z, cell, surface, s, source, ground, others, rest)
-    for i in range(len(source)):
-        of_all[np.uint32(source[i])] = ground[i]
-    return m
+    return label_ground(x, y, z, cell, surface, s, source, ground, others, rest)
 
 
 def bin_place(height_m: float) -> float:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from services.infra_lidar.jit import kernel
-from services.infra_lidar.revolutions import PacketDecoder, Revolution, TurnCollector
+from services.infra_lidar.revolutions import PacketDecoder, Revolution, TurnCollector, TurnPoints
 
 
 class MetadataError(ValueError):
@@ -143,7 +143,8 @@ class OusterParser:
 
 def decoder(layout: OusterFormat) -> PacketDecoder:
     """For the packets of a sensor with this layout."""
-    return PacketDecoder(layout.columns_per_packet * layout.beams, partial(_decode_packets, layout), layout.metadata)
+    decode, per_packet = partial(_decode_packets, layout), layout.columns_per_packet * layout.beams
+    return PacketDecoder(partial(TurnPoints, decode, per_packet), layout.metadata)
 
 
 def decode_nothing() -> None:

@@ -27,6 +27,7 @@ from common.status import Report
 from services.infra_lidar.blindness import FrameQuality
 from services.infra_lidar.captures import CaptureError, read_pcap, read_velodyne_scan
 from services.infra_lidar.ouster import MetadataError, OusterFormat, OusterParser
+from services.infra_lidar.range_image import Returns, points_of
 from services.infra_lidar.revolutions import Revolution
 from services.infra_lidar.velodyne import PACKET_BYTES, Vls128Parser
 
@@ -40,20 +41,25 @@ OUSTER_PORT = 7502
 
 @dataclass(frozen=True)
 class Frame:
-    """points: (N, 3..5) float32 metres, sensor frame (x, y, z, intensity, ring). received_ns: UTC when it was whole."""
+    """returns: of one turn. received_ns: UTC when it was whole."""
 
-    points: np.ndarray
+    returns: Returns
     received_ns: int
     quality: FrameQuality = field(default_factory=FrameQuality)
     packets: list[bytes] = field(default_factory=list)  # what it was decoded from, if it came in packets
     metadata: str = ""  # of an Ouster
+
+    @property
+    def points(self) -> np.ndarray:
+        """(N, 3..5) float32 metres, sensor frame (x, y, z, intensity, ring)."""
+        return points_of(self.returns)
 
 
 @dataclass(frozen=True)
 class Recorded:
     """A frame of a recording; stamp_s: UTC seconds as recorded, or None."""
 
-    points: np.ndarray
+    returns: Returns
     stamp_s: float | None
     quality: FrameQuality = field(default_factory=FrameQuality)
     packets: list[bytes] = field(default_factory=list)
@@ -105,7 +111,7 @@ def _decode(packets: Iterator[tuple[int, bytes]], parser: PacketParser, report: 
 
 
 def _recorded(one: Revolution) -> Recorded:
-    return Recorded(one.points, one.stamp_ns / 1e9, one.quality, one.packets, one.metadata)
+    return Recorded(one.returns, one.stamp_ns / 1e9, one.quality, one.packets, one.metadata)
 
 
 def _bag_packets(path: Path) -> Iterator[tuple[int, bytes]]:
@@ -153,7 +159,7 @@ def live_packets(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
                 report.state("disconnected", f"no packets on UDP port {port}; check the sensor's power, cable, address")
                 continue
             one = revolution
-            yield one.stamp_ns, Frame(one.points, one.stamp_ns, one.quality, one.packets, one.metadata)
+            yield one.stamp_ns, Frame(one.returns, one.stamp_ns, one.quality, one.packets, one.metadata)
     finally:
         receiver.close()
 

@@ -15,6 +15,7 @@ from services.infra_lidar.classes import BACKGROUND
 from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.range_image import RangeImage, Returns
 from services.infra_lidar.result import ClusterSet, FrameResult
 from services.infra_lidar.scene import Parted, Scene
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
@@ -49,26 +50,26 @@ class InfraLidarPipeline:
         self.scene.restart()
 
     def process(
-        self, stamp_ns: int, points: np.ndarray, quality: FrameQuality | None = None, received_ns: int = 0
+        self, stamp_ns: int, returns: Returns, quality: FrameQuality | None = None, received_ns: int = 0
     ) -> FrameResult:
         """One frame.
 
-        stamp_ns: UTC nanoseconds of the measurement. points: (N, 3+) float32 metres in the sensor frame, further
-        columns intensity and ring; points closer than half a metre or not finite are no returns. quality: what the
-        source knows about losses.
+        stamp_ns: UTC nanoseconds of the measurement. returns: a range image, or (N, 3+) float32 metres in the sensor
+        frame, further columns intensity and ring; what is closer than half a metre or not finite is no return.
+        quality: what the source knows about losses.
 
         Raises:
-            ValueError: points is not an (N, 3+) array of numbers.
+            ValueError: returns is no image and not an (N, 3+) array of numbers.
         """
-        points = _checked(points)
+        returns = _checked(returns)
         watch = Stopwatch()
 
         # 1. Where is the road? From the first frames; afterwards only looked after.
-        calibration = self.calibration.update(points)
+        calibration = self.calibration.update(returns)
         watch.lap("calibrate")
 
         # 2. Leave out what was always there, level the rest and take the road away. From here on in the level frame.
-        parted = self.scene.part(stamp_ns, points, calibration, quality is None or quality.complete)
+        parted = self.scene.part(stamp_ns, returns, calibration, quality is None or quality.complete)
         watch.lap("ground")
 
         # 3. Connected components of what is left, seen from above.
@@ -87,7 +88,7 @@ class InfraLidarPipeline:
 
         # 6. Learn the fixed scene, as long as it is not known. Then: can the sensor see at all?
         if self.config.background.enabled and not parted.sifted:  # a sifted frame teaches nothing
-            known = self.scene.learn(stamp_ns, points, parted, _road_users(clusters, len(points)))
+            known = self.scene.learn(stamp_ns, returns, parted, _road_users(clusters, len(returns)))
             if known is not None:
                 self.tracker.forget(_vanished(known, clusters))  # every other track keeps its id
         watch.lap("learn")
@@ -96,7 +97,7 @@ class InfraLidarPipeline:
 
         return FrameResult(
             stamp_ns=stamp_ns, received_ns=received_ns, frame_id=self.config.frame_id, state=state, reason=reason,
-            points=points, ground=parted.ground, background=parted.background, clusters=clusters, table=tracks,
+            returns=returns, parted=parted, clusters=clusters, table=tracks,
             calibration=calibration, T_map_level=T_map_level, stage_ms=watch.stage_ms,
         )  # fmt: skip
 
@@ -128,8 +129,10 @@ class InfraLidarPipeline:
         return np.reshape(self.config.T_map_sensor, (4, 4)) @ invert(calibration.T_level_sensor)
 
 
-def _checked(points: np.ndarray) -> np.ndarray:
-    points = np.asarray(points)
+def _checked(returns: Returns) -> Returns:
+    if isinstance(returns, RangeImage):
+        return returns
+    points = np.asarray(returns)
     if points.ndim != 2 or points.shape[1] < 3 or points.dtype.kind not in "fiu":
         raise ValueError(f"points: expected an (N, 3+) array of numbers, got {points.dtype} {points.shape}")
     return np.ascontiguousarray(points, dtype=np.float32)

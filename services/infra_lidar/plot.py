@@ -46,7 +46,7 @@ def plot_source(config: InfraLidarConfig, output: Path, frames: int, reach_m: fl
     """
     pipeline, ways = InfraLidarPipeline(config), Ways()
     source = islice(open_source(config, Report("plot")), frames)
-    results = (pipeline.process(stamp_ns, frame.points, frame.quality) for stamp_ns, frame in source)
+    results = (pipeline.process(stamp_ns, frame.returns, frame.quality) for stamp_ns, frame in source)
     output.parent.mkdir(parents=True, exist_ok=True)
     if output.suffix == ".png":
         return _draw_last(results, ways, reach_m, output)
@@ -102,7 +102,7 @@ def draw(result: FrameResult, trails: list[np.ndarray], reach_m: float) -> np.nd
     axes.set_aspect("equal")
     axes.tick_params(colors="#9aa0a8", labelsize=8)
     moving = sum(np.hypot(*track.velocity_mps[:2]) > 0 for track in tracks)
-    text = f"{len(result.points)} points   {len(result.clusters)} clusters   {len(tracks)} tracks, {moving} moving"
+    text = f"{result.points_in} points   {len(result.clusters)} clusters   {len(tracks)} tracks, {moving} moving"
     axes.set_title(text, color="#d5d8dc", fontsize=10)
     _draw_legend(axes)
     canvas = FigureCanvasAgg(figure)
@@ -117,7 +117,7 @@ def on_page(trails: list[np.ndarray]) -> list[np.ndarray]:
 
 def _draw_points(axes: Axes, result: FrameResult) -> None:
     at = transform_points(result.T_map_sensor, result.points[:, :3])
-    rest = ~result.ground & (result.cluster_id < 0)
+    rest = ~result.ground & (result.cluster_id < 0) & result.points[:, :3].any(axis=1)
     for rows, colour, size in ((result.ground, _GROUND, 0.15), (rest, _OTHER, 0.15)):
         axes.plot(at[rows, 1], at[rows, 0], ",", color=colour, markersize=size, alpha=0.5)
     labels = np.array(result.clusters.labels, dtype=object)

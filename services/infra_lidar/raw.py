@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from common.config import ConfigError
 from common.messages import RawBytes
@@ -19,7 +18,7 @@ from common.topics import INFRA_RAW
 from services.infra_lidar import ouster, velodyne
 from services.infra_lidar.blindness import FrameQuality
 from services.infra_lidar.packet_source import Frame
-from services.infra_lidar.revolutions import PacketDecoder, decode_turn
+from services.infra_lidar.revolutions import PacketDecoder, decode_turn, joined
 
 
 def hand_over(raw: RawTap, stamp_ns: int, frame: Frame) -> None:
@@ -29,7 +28,7 @@ def hand_over(raw: RawTap, stamp_ns: int, frame: Frame) -> None:
         raw("points", stamp_ns, frame.points, frame.received_ns, **about)
         return
     kind = "ouster" if frame.metadata else "velodyne"
-    raw(kind, stamp_ns, partial(_joined, frame.packets), frame.received_ns, **about)
+    raw(kind, stamp_ns, partial(joined, frame.packets), frame.received_ns, **about)
 
 
 def recorded_frames(url: SourceUrl) -> Iterator[tuple[int, Frame]]:
@@ -47,17 +46,13 @@ def recorded_frames(url: SourceUrl) -> Iterator[tuple[int, Frame]]:
                 continue
             decoder = decoder or _decoder(piece)
             packets = [packet.tobytes() for packet in piece.data]
-            points = decode_turn(packets, decoder)
+            returns = decode_turn(packets, decoder)
         except (msgspec.ValidationError, ouster.MetadataError) as error:
             raise ConfigError(f"source {url}: {error}") from None
-        yield piece.stamp_ns, Frame(points, piece.received_ns, quality, packets, str(piece.about.get("metadata", "")))
+        yield piece.stamp_ns, Frame(returns, piece.received_ns, quality, packets, str(piece.about.get("metadata", "")))
 
 
 def _decoder(piece: RawBytes) -> PacketDecoder:
     if piece.kind == "velodyne":
         return velodyne.DECODER
     return ouster.decoder(ouster.OusterFormat(str(piece.about.get("metadata", ""))))
-
-
-def _joined(packets: list[bytes]) -> np.ndarray:
-    return np.frombuffer(b"".join(packets), np.uint8).reshape(len(packets), -1)

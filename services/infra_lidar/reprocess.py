@@ -19,4 +19,4 @@ def reprocess(config: InfraLidarConfig, report: Report) -> Iterator[ObjectTracks
     config = msgspec.structs.replace(config, T_map_sensor=surveyed_pose(config))
     pipeline = InfraLidarPipeline(config, *Store(config.calibration.store).load())
     for stamp_ns, frame in open_source(config, report):
-        yield pipeline.process(stamp_ns, frame.points, frame.quality, frame.received_ns).tracks
+        yield pipeline.process(stamp_ns, frame.returns, frame.quality, frame.received_ns).tracks

@@ -14,6 +14,8 @@ from services.infra_lidar.calibration import Calibration
 from services.infra_lidar.classes import BACKGROUND as BACKGROUND_CLASS
 from services.infra_lidar.classes import LABELS
 from services.infra_lidar.clustering import of_points
+from services.infra_lidar.range_image import Returns, count_of, points_of
+from services.infra_lidar.scene import Parted
 from services.infra_lidar.tracking_life import TrackTable
 
 OTHER, GROUND, CLUSTERED, BACKGROUND = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
@@ -54,9 +56,9 @@ class ClusterSet:
 
 @dataclass(frozen=True)
 class FrameResult:
-    """Everything known about one frame of N points.
+    """Everything known about one frame of N returns, or places of a range image.
 
-    ground: (N,) bool. background: (N,) bool, returns of the learned fixed scene. table: all tracks, in the map frame.
+    parted: which of them are ground or fixed scene. table: all tracks, in the map frame.
     T_level_sensor, T_map_level: (4, 4) float64. What not everybody asks for is made when somebody does.
     """
 
@@ -65,19 +67,33 @@ class FrameResult:
     frame_id: str
     state: Literal["online", "degraded"]
     reason: str
-    points: np.ndarray
-    ground: np.ndarray
-    background: np.ndarray
+    returns: Returns
+    parted: Parted
     clusters: ClusterSet
     table: TrackTable
     calibration: Calibration
     T_map_level: np.ndarray
     stage_ms: dict[str, float]
 
+    @property
+    def points(self) -> np.ndarray:
+        """(N, 3+) float32, sensor frame."""
+        return points_of(self.returns)
+
+    @property
+    def ground(self) -> np.ndarray:
+        """(N,) bool."""
+        return self.parted.ground
+
+    @property
+    def background(self) -> np.ndarray:
+        """(N,) bool, returns of the learned fixed scene."""
+        return self.parted.background
+
     @cached_property
     def cluster_id(self) -> np.ndarray:
         """(N,) int32, index into ``clusters``, -1 = none."""
-        return of_points(self.clusters.members, self.clusters.offsets, len(self.points))
+        return of_points(self.clusters.members, self.clusters.offsets, len(self.returns))
 
     @cached_property
     def tracks(self) -> ObjectTracks:
@@ -85,8 +101,13 @@ class FrameResult:
         return ObjectTracks(
             stamp_ns=self.stamp_ns, frame_id=self.frame_id, received_ns=self.received_ns, state=self.state,
             reason=self.reason, stage_ms=self.stage_ms, tracks=self.table.without(BACKGROUND_CLASS).messages(),
-            points_in=len(self.points), clusters=len(self.clusters),
+            points_in=self.points_in, clusters=len(self.clusters),
         )  # fmt: skip
+
+    @property
+    def points_in(self) -> int:
+        """How many returns the sensor has sent."""
+        return count_of(self.returns)
 
     @property
     def T_level_sensor(self) -> np.ndarray:
@@ -124,9 +145,9 @@ class FrameResult:
         )
 
     def points_message(self, limit: int) -> PointCloud:
-        """Every n-th point in the map frame, so that at most ``limit`` remain."""
-        step = max(1, -(-len(self.points) // limit))
-        thin = slice(None, None, step)
+        """Every n-th return in the map frame, so that at most ``limit`` remain."""
+        (thin,) = np.nonzero(self.points[:, :3].any(axis=1))
+        thin = thin[:: max(1, -(-len(thin) // limit))]
         kind = np.where(self.background[thin], BACKGROUND, OTHER)
         kind[self.ground[thin]] = GROUND
         kind[self.cluster_id[thin] >= 0] = CLUSTERED

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
 from services.infra_lidar.blindness import FrameQuality
+from services.infra_lidar.range_image import Returns, points_of
 
 FULL_TURN_SHARE = 0.97
 TOGETHER = 64  # packets, a tenth of a turn
@@ -19,67 +21,114 @@ MOST_PACKETS = 4096  # of a turn; a slow one with two returns has 2400. A head t
 
 @dataclass(frozen=True)
 class Revolution:
-    """points: (N, 5) float32 x y z (m, sensor frame) intensity ring. stamp_ns: UTC ns of its last packet.
+    """returns: of one turn. stamp_ns: UTC ns of its last packet.
 
     packets: what it was decoded from; metadata: what one needs to decode them again (Ouster).
     """
 
-    points: np.ndarray
+    returns: Returns
     stamp_ns: int
     quality: FrameQuality
     packets: list[bytes] = field(default_factory=list)
     metadata: str = ""
 
-
-@dataclass(frozen=True)
-class PacketDecoder:
-    """How packets of a sensor become points.
-
-    decode: (P, B) uint8, packets of one turn, into (P * points_per_packet, 5) float32, x y z (m, sensor frame)
-    intensity ring; returns how many points they hold. metadata: what one needs to decode them again (Ouster).
-    """
-
-    points_per_packet: int
-    decode: Callable[[np.ndarray, np.ndarray], int]
-    metadata: str = ""
+    @property
+    def points(self) -> np.ndarray:
+        """(N, 5) float32 x y z (m, sensor frame) intensity ring."""
+        return points_of(self.returns)
 
 
-class TurnPoints:
-    """The points of the turn that is coming."""
-
-    def __init__(self, decoder: PacketDecoder, packets: int = 0) -> None:
-        self._decoder = decoder
-        self._points, self._filled = np.empty((0, 5), np.float32), 0
-        self._needed, self._usual = 0, packets * decoder.points_per_packet  # room: for this turn, for a turn
+class TurnToCome(Protocol):
+    """Returns of the turn that is coming."""
 
     def add(self, packets: list[bytes]) -> None:
         """The next packets, all of one size."""
-        raw = np.frombuffer(b"".join(packets), np.uint8).reshape(len(packets), -1)
-        self._needed = self._filled + len(packets) * self._decoder.points_per_packet
-        if self._needed > len(self._points):
-            larger = np.empty((max(_and_an_eighth(self._needed), self._usual), 5), np.float32)
-            larger[: self._filled] = self._points[: self._filled]
-            self._points = larger
-        self._filled += self._decoder.decode(raw, self._points[self._filled :])
+
+    def take(self) -> Returns:
+        """All of them; the next turn begins."""
+
+
+@dataclass(frozen=True)
+class PacketDecoder:
+    """How packets of a sensor become returns.
+
+    begin: where those of a sensor are collected, with room for so many packets. metadata: what one needs to decode
+    them again (Ouster).
+    """
+
+    begin: Callable[[int], TurnToCome]
+    metadata: str = ""
+
+
+class Rows:
+    """Arrays that grow together while a turn comes; how long the last turn was, the next one has room for at once."""
+
+    def __init__(self, columns: dict[str, tuple[type, tuple[int, ...]]], room: int = 0) -> None:
+        """columns: name, dtype and shape of a row; room: rows that are expected."""
+        self._columns, self._usual = columns, room
+        self._filled = self._needed = self._room = 0
+        self._arrays = self._new(0)
+
+    def room(self, rows: int) -> dict[str, np.ndarray]:
+        """Where the next rows go, so many at the most."""
+        self._needed = self._filled + rows
+        if self._needed > self._room:
+            self._room = max(_and_an_eighth(self._needed), self._usual)
+            for name, array in self._new(self._room).items():
+                array[: self._filled] = self._arrays[name][: self._filled]
+                self._arrays[name] = array
+        return {name: array[self._filled :] for name, array in self._arrays.items()}
+
+    def fill(self, rows: int) -> None:
+        """So many have been written."""
+        self._filled += rows
+
+    def take(self) -> dict[str, np.ndarray]:
+        """All of them; the next turn begins."""
+        taken = {name: array[: self._filled] for name, array in self._arrays.items()}
+        self.__init__(self._columns, _and_an_eighth(self._needed))  # type: ignore[misc]
+        return taken
+
+    def _new(self, rows: int) -> dict[str, np.ndarray]:
+        return {name: np.empty((rows, *shape), dtype) for name, (dtype, shape) in self._columns.items()}
+
+
+class TurnPoints:
+    """The points of the turn that is coming.
+
+    decode: (P, B) uint8, packets of one turn, into (P * per_packet, 5) float32, x y z (m, sensor frame) intensity ring;
+    returns how many points they hold.
+    """
+
+    def __init__(self, decode: Callable[[np.ndarray, np.ndarray], int], per_packet: int, packets: int = 0) -> None:
+        self._decode, self._per_packet = decode, per_packet
+        self._rows = Rows({"points": (np.float32, (5,))}, packets * per_packet)
+
+    def add(self, packets: list[bytes]) -> None:
+        """The next packets, all of one size."""
+        room = self._rows.room(len(packets) * self._per_packet)
+        self._rows.fill(self._decode(joined(packets), room["points"]))
 
     def take(self) -> np.ndarray:
         """(N, 5) float32: all of them; the next turn begins."""
-        points = self._points[: self._filled]
-        self._points, self._filled = np.empty((0, 5), np.float32), 0
-        self._needed, self._usual = 0, _and_an_eighth(self._needed)
-        return points
+        return self._rows.take()["points"]
+
+
+def joined(packets: list[bytes]) -> np.ndarray:
+    """(P, B) uint8."""
+    return np.frombuffer(b"".join(packets), np.uint8).reshape(len(packets), -1)
 
 
 def _and_an_eighth(room: int) -> int:
     return room + room // 8
 
 
-def decode_turn(packets: list[bytes], decoder: PacketDecoder) -> np.ndarray:
-    """The points of a whole turn, (N, 5) float32, the same as if its packets came one by one."""
-    points = TurnPoints(decoder, len(packets))
+def decode_turn(packets: list[bytes], decoder: PacketDecoder) -> Returns:
+    """The returns of a whole turn, the same as if its packets came one by one."""
+    turn = decoder.begin(len(packets))
     for first in range(0, len(packets), TOGETHER):
-        points.add(packets[first : first + TOGETHER])
-    return points.take()
+        turn.add(packets[first : first + TOGETHER])
+    return turn.take()
 
 
 class TurnCollector:
@@ -87,7 +136,7 @@ class TurnCollector:
 
     def __init__(self, decoder: PacketDecoder) -> None:
         self._metadata = decoder.metadata
-        self._points = TurnPoints(decoder)
+        self._coming = decoder.begin(0)
         self._packets: list[bytes] = []
         self._covered = 0  # a bit a degree
         self._lost = 0
@@ -100,7 +149,7 @@ class TurnCollector:
         """One packet that saw the directions from ``first_deg`` to ``last_deg``, with ``lost`` missing before it."""
         self._packets.append(packet)
         if len(self._packets) % TOGETHER == 0:
-            self._points.add(self._packets[-TOGETHER:])
+            self._coming.add(self._packets[-TOGETHER:])
         first, last = int(first_deg), int(last_deg)
         if first <= last:
             self._covered |= (2 << last) - (1 << first)
@@ -119,10 +168,10 @@ class TurnCollector:
             return None
         left = len(self._packets) % TOGETHER
         if left:
-            self._points.add(self._packets[-left:])
+            self._coming.add(self._packets[-left:])
         complete = self._covered.bit_count() >= FULL_TURN_SHARE * 360
         quality = FrameQuality(len(self._packets), self._lost, complete)
-        turn = Revolution(self._points.take(), self._stamp_ns, quality, self._packets, self._metadata)
+        turn = Revolution(self._coming.take(), self._stamp_ns, quality, self._packets, self._metadata)
         self.turns += 1
         self.incomplete += not complete
         self._packets, self._lost, self._covered = [], 0, 0

@@ -120,7 +120,7 @@ def _play(url: SourceUrl, recording: Callable[[], Iterator[Recorded]]) -> Iterat
             stamp_ns = clock.next(_gap_s(previous_s, frame.stamp_s), rate)
             previous_s, anything = frame.stamp_s, True
             received_ns = utc_ns() if rate else stamp_ns
-            yield stamp_ns, Frame(frame.points, received_ns, frame.quality, frame.packets, frame.metadata)
+            yield stamp_ns, Frame(frame.returns, received_ns, frame.quality, frame.packets, frame.metadata)
         if not anything:
             raise ConfigError(f"source {url}: no frame in it can be read")
         if not url.flag("loop"):

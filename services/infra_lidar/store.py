@@ -92,6 +92,6 @@ def read_background(path: Path) -> BackgroundModel:
             known_share=float(file["known_share"]), surface=file["surface"], structure=file["structure"],
         )  # fmt: skip
     cells = model.columns * model.rows
-    if model.ranges.shape != (cells, 2) or model.ranges.dtype != np.int32:
+    if model.ranges.shape != (2, cells) or model.ranges.dtype != np.int32:
         raise ValueError(f"{model.ranges.dtype} {model.ranges.shape} ranges for {cells} cells")
     return model

@@ -218,17 +218,6 @@ def _gather_listed(typing_context: Any, array: Any, listed: Any, at: Any) -> Any
     return kind(array, listed, at), generate
 
 
-def _gather_pairs(typing_context: Any, array: Any, listed: Any, at: Any) -> Any:
-    _kind_of(listed)
-
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        words = builder.bitcast(_look_up(context, builder, sig, args, _LONG), ir.VectorType(WORD, 2 * LANES))
-        halves = [builder.shuffle_vector(words, words, lane_list(list(range(k, 2 * LANES, 2)))) for k in (0, 1)]
-        return context.make_tuple(builder, sig.return_type, halves)
-
-    return types.UniTuple(_kind_of(array), 2)(array, listed, at), generate
-
-
 def _prefetch(typing_context: Any, array: Any, at: Any) -> Any:
     _kind_of(array)
 
@@ -312,12 +301,6 @@ def gather(array: Any, at: Any) -> Any:
 def gather_listed(array: Any, listed: Any, at: Any) -> Any:
     """array[listed[at]], array[listed[at + 1]] ...: the same, and cheaper, for places that are in memory anyway, of any
     integer type; they may be negative where there is something before the array."""
-
-
-@_named(_gather_pairs)
-def gather_pairs(array: Any, listed: Any, at: Any) -> Any:
-    """Both columns of rows listed[at], listed[at + 1] ... of array (N, 2) int32: two vectors by one look-up of eight
-    bytes a lane."""
 
 
 @_named(_every, prefer_literal=True)

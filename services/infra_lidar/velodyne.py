@@ -15,9 +15,10 @@ import numpy as np
 
 from services.infra_lidar.jit import kernel
 from services.infra_lidar.ordering import sort_rising
-from services.infra_lidar.revolutions import PacketDecoder, Revolution, TurnCollector, TurnPoints
+from services.infra_lidar.range_image import RangeImage
+from services.infra_lidar.revolutions import PacketDecoder, Revolution, Rows, TurnCollector, joined
 
-PACKET_BYTES = 1206
+PACKET_BYTES, BLOCKS = 1206, 12
 PRODUCT_VLS128 = 0xA1
 DUAL_RETURN = 0x39
 DISTANCE_STEP_M = 0.004
@@ -91,27 +92,45 @@ class Vls128Parser:
         return max(0, round(gap_us / (firings * CYCLE_US)) - 1) if gap_us < 1_000_000 else 0
 
 
-def _decode_packets(raw: np.ndarray, points: np.ndarray) -> int:
-    """(P, 1206) uint8 packets of one turn into points (384 P, 5); the head's rate is taken from the packets."""
-    return int(_decode(raw, _lasers(_head_rate_deg_per_s(raw)), _COS_SIN, points))
+class TurnImage:
+    """The range image of the turn that is coming; the head's rate is taken from its packets."""
+
+    def __init__(self, packets: int = 0) -> None:
+        self._beams = _beams(0.0)
+        self._rows = Rows(
+            {"range_m": (np.float32, (32,)), "intensity": (np.uint8, (32,)), "cos": (np.float32, ()),
+             "sin": (np.float32, ()), "bank": (np.uint8, ())}, packets * BLOCKS,
+        )  # fmt: skip
+
+    def add(self, packets: list[bytes]) -> None:
+        """The next packets."""
+        raw, room = joined(packets), self._rows.room(len(packets) * BLOCKS)
+        self._beams = _beams(_head_rate_deg_per_s(raw))
+        self._rows.fill(
+            _decode(raw, _COS_SIN, room["range_m"], room["intensity"], room["cos"], room["sin"], room["bank"])
+        )
+
+    def take(self) -> RangeImage:
+        """The image; the next turn begins."""
+        return RangeImage(**self._rows.take(), beams=self._beams)
 
 
-DECODER = PacketDecoder(384, _decode_packets)
+DECODER = PacketDecoder(TurnImage)
 
 
-def decode_nothing() -> None:
-    """Compile or load what decodes, before the first packet comes."""
-    TurnPoints(DECODER).add([bytes(PACKET_BYTES)])
+def decode_nothing() -> RangeImage:
+    """Compile or load what decodes, before the first packet comes; an image without rows."""
+    turn = TurnImage()
+    turn.add([bytes(PACKET_BYTES)])
+    return turn.take()
 
 
 @lru_cache(maxsize=64)
-def _lasers(rate_deg_per_s: float) -> np.ndarray:
-    """(6, 128) float32: of each laser, cosine and sine of what it has turned since its block began, those of its
-    elevation, lift, and ring. Azimuths come in hundredths of a degree, so only few rates do."""
-    turned = np.radians(rate_deg_per_s * _DELAY_S - _OFFSET_DEG)
-    return np.stack(
-        [np.cos(turned), np.sin(turned), np.cos(_ELEVATION), np.sin(_ELEVATION), FOCUS_M * np.tan(_ELEVATION), RING]
-    ).astype(np.float32)
+def _beams(rate_deg_per_s: float) -> np.ndarray:
+    """(7, 128) float32, see ``RangeImage``. Azimuths come in hundredths of a degree, so only few rates do."""
+    turned, flat = np.radians(rate_deg_per_s * _DELAY_S - _OFFSET_DEG), np.cos(_ELEVATION)  # since its block began
+    direction = [flat * np.cos(turned), -flat * np.sin(turned), np.sin(_ELEVATION)]  # turns clockwise from above
+    return np.stack([*direction, 0 * flat, 0 * flat, -FOCUS_M * np.tan(_ELEVATION), RING]).astype(np.float32)
 
 
 @kernel
@@ -127,30 +146,23 @@ def _head_rate_deg_per_s(raw):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _decode(raw, lasers, cos_sin, points):  # type: ignore[no-untyped-def]
-    """raw (P, 1206) uint8 to points (M, 5); lasers (6, 128): cos and sin of the turn, of the elevation, lift, ring."""
+def _decode(raw, cos_sin, range_m, intensity, cos, sin, bank):  # type: ignore[no-untyped-def]
+    """raw (P, 1206) uint8 to the rows of an image, one for each block; returns how many. cos_sin (36000, 2)."""
     m = 0
     for p in range(raw.shape[0]):
-        for b in range(12):
+        for b in range(BLOCKS):
             at = 100 * b
             flag = raw[p, at + 1]
             if raw[p, at] != 0xFF or flag < 0xBB or flag > 0xEE or (flag - 0xBB) % 0x11 != 0:
                 continue
-            bank = 32 * ((0xEE - flag) // 0x11)
             azimuth = raw[p, at + 2] + 256 * raw[p, at + 3]
             if azimuth >= 36000:
                 continue
-            c, s = cos_sin[azimuth, 0], cos_sin[azimuth, 1]
+            bank[m], cos[m], sin[m] = (0xEE - flag) // 0x11, cos_sin[azimuth, 0], -cos_sin[azimuth, 1]
             for k in range(32):
                 at_return = at + 4 + 3 * k
                 steps = raw[p, at_return] + 256 * raw[p, at_return + 1]
-                laser = bank + k
-                distance = np.float32(steps) * np.float32(DISTANCE_STEP_M)
-                flat = distance * lasers[2, laser]
-                points[m, 0] = flat * (c * lasers[0, laser] - s * lasers[1, laser])
-                points[m, 1] = -flat * (s * lasers[0, laser] + c * lasers[1, laser])  # turns clockwise from above
-                points[m, 2] = distance * lasers[3, laser] - lasers[4, laser]
-                points[m, 3] = raw[p, at_return + 2]
-                points[m, 4] = lasers[5, laser]
-                m += steps > 0
+                range_m[m, k] = np.float32(steps) * np.float32(DISTANCE_STEP_M)
+                intensity[m, k] = raw[p, at_return + 2]
+            m += 1
     return m

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from services.infra_lidar.background import Background
+from services.infra_lidar.background import Background, Known
 from services.infra_lidar.config import BackgroundConfig
 
 CONFIG = BackgroundConfig(learn_s=1.0, min_frames=20, azimuth_cells=360)
@@ -46,15 +46,21 @@ def _learned(things_at=lambda k: (), users=lambda points: np.zeros(len(points), 
     return background
 
 
+def _known(background, points):
+    """What the background tells of a frame."""
+    sifted = background.sift(points, 2.5)
+    assert sifted is not None
+    return Known(points, background.model, sifted.source)
+
+
 def test_an_empty_scene_is_known_after_learning():
     background = _learned()
     points = _frame(100)
-    sifted = background.sift(points, 2.5)
-    assert sifted is not None
-    assert sifted.known.mean() > 0.97
+    sifted, known = background.sift(points, 2.5), _known(background, points)
+    assert sifted.known_share == known.mask.mean() > 0.97
     road = points[:, 2] < -4.8
-    assert (sifted.ground == road)[sifted.known].mean() > 0.99
-    assert np.array_equal(np.sort(sifted.source), np.flatnonzero(~sifted.known))
+    assert (known.road == road)[known.mask].mean() > 0.99
+    assert np.array_equal(np.sort(sifted.source), np.flatnonzero(~known.mask))
     assert np.array_equal(sifted.fresh[:, : len(sifted.source)].T, points[sifted.source, :3])
 
 
@@ -62,17 +68,16 @@ def test_an_obstacle_that_stops_is_never_hidden():
     background = _learned()
     for k in range(200, 300):
         points = _frame(k, things=((100, 106, 15.0, 1.7),))
-        sifted = background.sift(points, 2.5)
         thing = _is_thing(points, 15.0) & (points[:, 2] > -4.6)
         assert thing.sum() > 20
-        assert (~sifted.known[thing]).mean() > 0.98
+        assert (~_known(background, points).mask[thing]).mean() > 0.98
 
 
 def test_a_queue_at_a_red_light_is_not_learned():
     background = _learned(things_at=lambda k: ((100, 106, 15.0, 1.7),) if k % 5 < 3 else ())
     points = _frame(300, things=((100, 106, 15.0, 1.7),))
     thing = _is_thing(points, 15.0) & (points[:, 2] > -4.6)
-    assert (~background.sift(points, 2.5).known[thing]).mean() > 0.98
+    assert (~_known(background, points).mask[thing]).mean() > 0.98
 
 
 def test_a_car_parked_while_learning_stays_visible_if_it_was_recognised_as_one():
@@ -80,7 +85,7 @@ def test_a_car_parked_while_learning_stays_visible_if_it_was_recognised_as_one()
     background = _learned(lambda k: (parked,), lambda p: _is_thing(p, 12.0) & (p[:, 2] > -4.8))
     points = _frame(300, things=(parked,))
     thing = _is_thing(points, 12.0) & (points[:, 2] > -4.7)
-    assert (~background.sift(points, 2.5).known[thing]).mean() > 0.98
+    assert (~_known(background, points).mask[thing]).mean() > 0.98
 
 
 def test_a_parked_car_stays_visible_though_a_bus_stands_before_it_as_learning_ends():
@@ -90,7 +95,7 @@ def test_a_parked_car_stays_visible_though_a_bus_stands_before_it_as_learning_en
     )
     points = _frame(300, things=(parked,))
     thing = _is_thing(points, 12.0) & (points[:, 2] > -4.7)
-    assert (~background.sift(points, 2.5).known[thing]).mean() > 0.98
+    assert (~_known(background, points).mask[thing]).mean() > 0.98
 
 
 def test_who_passes_as_learning_ends_leaves_no_hole():
@@ -98,13 +103,13 @@ def test_who_passes_as_learning_ends_leaves_no_hole():
     background = _learned(lambda k: (passing,) if k >= 19 else (), lambda p: _is_thing(p, 15.0) & (p[:, 2] > -4.8))
     points = _frame(300)
     there = np.abs(np.degrees(np.arctan2(points[:, 1], points[:, 0])) - 103.0) < 3.0
-    assert background.sift(points, 2.5).known[there].mean() > 0.97
+    assert _known(background, points).mask[there].mean() > 0.97
 
 
 def test_a_wall_that_is_taken_for_a_car_now_and_then_is_background():
     turn = iter(range(1000))
     background = _learned(users=lambda p: _is_thing(p, 30.0) & (next(turn) % 5 == 0))
-    assert background.sift(_frame(300), 2.5).known.mean() > 0.97
+    assert _known(background, _frame(300)).mask.mean() > 0.97
 
 
 def test_what_appears_behind_the_background_is_fresh():
@@ -112,7 +117,7 @@ def test_what_appears_behind_the_background_is_fresh():
     points = _frame(300)
     far = (np.hypot(points[:, 0], points[:, 1]) > 29) & (points[:, 1] > 25)
     points[far, :3] *= 1.5  # a gate in the wall has been opened
-    assert not background.sift(points, 2.5).known[far].any()
+    assert not _known(background, points).mask[far].any()
 
 
 def test_another_scene_does_not_pass_for_the_learned_one():
@@ -146,18 +151,19 @@ def test_clouds_without_rings_are_told_apart_by_elevation(columns):
             no = np.zeros(len(points), bool)
             background.learn(int(k * 1e8), points, points[:, 2] < -4.8, no, NO_SURFACE)
     points = _frame(100, things=((100, 106, 15.0, 1.7),))[:, :columns].copy()
-    sifted = background.sift(points, 2.5)
+    known = _known(background, points).mask
     thing = _is_thing(points, 15.0) & (points[:, 2] > -4.6)
-    assert (~sifted.known[thing]).mean() > 0.98
-    assert sifted.known.mean() > 0.8
+    assert (~known[thing]).mean() > 0.98
+    assert known.mean() > 0.8
 
 
-def test_no_returns_are_no_obstacle():
+def test_no_returns_are_neither_obstacle_nor_background():
     background = _learned()
     points = _frame(100)
     points[:50, :3] = 0.0
     points[50:60, :3] = np.nan
-    sifted = background.sift(points, 2.5)
-    assert sifted.known[:60].all()
-    assert not sifted.ground[:60].any()
+    sifted, known = background.sift(points, 2.5), _known(background, points)
+    assert not np.isin(np.arange(60), sifted.source).any()
+    assert not known.mask[:60].any()
+    assert not known.road[:60].any()
     assert sifted.returns == len(points) - 60

@@ -4,7 +4,7 @@ import numpy as np
 
 from services.infra_lidar import ouster, velodyne
 from services.infra_lidar.ouster import OusterFormat, OusterParser
-from services.infra_lidar.revolutions import MOST_PACKETS, TOGETHER, TurnPoints, decode_turn
+from services.infra_lidar.revolutions import MOST_PACKETS, TOGETHER, decode_turn
 from services.infra_lidar.velodyne import DECODER, Vls128Parser
 from tests.infra_lidar.made_packets import metadata, ouster_packet, turns_of, vls_packet
 
@@ -20,23 +20,23 @@ def _walls(turns):
 def test_a_turn_that_is_decoded_while_it_comes_is_the_same_as_at_once():
     parser = Vls128Parser()
     turns = [turn for k, packet in enumerate(_walls(3)) if (turn := parser.feed(packet, k)) is not None]
-    kept = [turn.points.copy() for turn in turns]
+    kept = [turn.returns.range_m.copy() for turn in turns]
     assert len(turns) == 2
-    for turn, points in zip(turns, kept, strict=True):
-        np.testing.assert_array_equal(turn.points, points)  # what comes later goes elsewhere
-        np.testing.assert_array_equal(turn.points, decode_turn(turn.packets, DECODER))
+    for turn, range_m in zip(turns, kept, strict=True):
+        np.testing.assert_array_equal(turn.returns.range_m, range_m)  # what comes later goes elsewhere
+        np.testing.assert_array_equal(turn.points, decode_turn(turn.packets, DECODER).points)
     assert not np.array_equal(kept[0], kept[1])
 
 
 def test_a_turn_is_the_sum_of_its_parts_however_many_they_are():
     packets = _walls(1)
-    points = TurnPoints(DECODER)
+    coming = DECODER.begin(0)
     for part in (packets[:1], packets[1:200], packets[200:], packets):
-        points.add(part)
-    whole = points.take()
+        coming.add(part)
+    whole = coming.take().points
     assert len(whole) == 2 * 600 * 384
     np.testing.assert_allclose(whole[: 600 * 384], whole[600 * 384 :], atol=1e-4)
-    assert len(points.take()) == 0
+    assert len(coming.take()) == 0
     assert len(decode_turn(packets[: TOGETHER + 1], DECODER)) == (TOGETHER + 1) * 384
 
 
@@ -56,14 +56,13 @@ def test_a_head_that_is_stuck_fills_no_memory():
 
 
 def test_the_room_for_a_turn_follows_the_turns():
-    points = TurnPoints(DECODER)
+    coming = DECODER.begin(0)
     for packets in (600, 1200, 601, 100):
         for part in range(0, packets, TOGETHER):
-            points.add(_walls(1)[: min(TOGETHER, packets - part)])
-        taken = points.take()
-        assert len(taken) == packets * 384
-    points.add(_walls(1)[:1])
-    assert len(points.take().base) < 200 * 384  # no longer that of the long turn
+            coming.add(_walls(1)[: min(TOGETHER, packets - part)])
+        assert len(coming.take()) == packets * 384
+    coming.add(_walls(1)[:1])
+    assert coming.take().range_m.base.size < 200 * 384  # no longer that of the long turn
 
 
 def test_the_first_packet_waits_for_no_compiler():
