@@ -75,12 +75,11 @@ class Clustering:
         self._buffers = buffers or Buffers()
         cells = CellGrid(config, range_max_m)
         side, words = cells.side, (cells.side + 63) // 64
-        self._scales = cells.scales
         self._grid = np.zeros((side, words, 4), np.uint64)
         self._touched = np.zeros((side, (words + 63) // 64), np.uint64)
         self._row_start = np.zeros(side + 1, np.int32)
         self._look = _second_look(config)
-        self._settings = _settings(config, cells.per_m, all_points=self._look is not None)
+        self._settings = _settings(config, cells, all_points=self._look is not None)
 
     @property
     def nbytes(self) -> int:
@@ -92,7 +91,7 @@ class Clustering:
         m, take = len(frame.rest), self._buffers.take
         room = m + -m % LINE_FLOATS + LINE_FLOATS
         found = kernels.find_clusters(
-            np.ascontiguousarray(frame.points), m, frame.rest, self._settings, self._look, self._scales,
+            np.ascontiguousarray(frame.points), m, frame.rest, self._settings, self._look,
             take("cluster_ints", kernels.INTS * room, np.int32).reshape(kernels.INTS, room),
             take("cluster_floats", kernels.FLOATS * room, np.float32).reshape(kernels.FLOATS, room),
             self._grid, self._touched, self._row_start,
@@ -100,13 +99,13 @@ class Clustering:
         return ClusterPoints(*found)
 
 
-def _settings(config: ClusteringConfig, per_m: np.float32, all_points: bool) -> np.record:
+def _settings(config: ClusteringConfig, cells: CellGrid, all_points: bool) -> np.record:
     """The settings as kernels take them: one record of ``SETTINGS``."""
     made = np.zeros(1, kernels.SETTINGS)
     for name in kernels.SETTINGS.names or ():
         if hasattr(config, name):
             made[name] = getattr(config, name)
-    made["per_m"] = per_m
+    made["per_m"], made["growth_per_m"] = cells.per_m, cells.growth_per_m
     made["body_m"] = config.body_height_m or np.inf
     made["fewest"] = 1 if config.merge == "fragments" else config.min_points  # smaller components are not looked at
     made["enough"] = np.iinfo(np.int64).max if all_points else config.shape_points or np.iinfo(np.int64).max

@@ -1,5 +1,5 @@
-"""Compiled mapping of points to bird's-eye cells that may grow with range; ``scales`` and ``per_m`` are those of a
-``CellGrid``.
+"""Compiled mapping of points to bird's-eye cells that may grow with range; ``per_m`` and ``growth`` are ``per_m`` and
+``growth_per_m`` of a ``CellGrid``.
 
 Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.cells import STEPS
 from services.infra_lidar.jit import inline, inner, kernel
 from services.infra_lidar.vectors import (
     LANES,
@@ -20,7 +19,6 @@ from services.infra_lidar.vectors import (
     larger,
     load,
     ones,
-    real,
     root,
     select,
     smaller,
@@ -29,21 +27,24 @@ from services.infra_lidar.vectors import (
     whole,
 )
 
+ONE, FOUR = np.float32(1.0), np.float32(4.0)
+THIRD, FIFTH, SEVENTH, NINTH = (np.float32(1.0 / odd) for odd in (3, 5, 7, 9))
+
 
 @inner
-def grid_cells(x, y, scales, per_m, side, row, column):  # type: ignore[no-untyped-def]
+def grid_cells(x, y, per_m, growth, side, row, column):  # type: ignore[no-untyped-def]
     """Cell of each point (N,) float32 on a side x side grid centred on the origin; row, column (N,) int32 written."""
     n = len(x)
     rest = n - n % LANES
     for i in range(0, rest, LANES):
-        r, c = _cell(load(x, i), load(y, i), scales, per_m, side)
+        r, c = _cell(load(x, i), load(y, i), per_m, growth, side)
         store(row, i, r)
         store(column, i, c)
     if rest < n:
         last, cells = np.zeros((2, LANES), np.float32), np.zeros((2, LANES), np.int32)
         for i in range(rest, n):
             last[0, i - rest], last[1, i - rest] = x[i], y[i]
-        r, c = _cell(load(last[0], 0), load(last[1], 0), scales, per_m, side)
+        r, c = _cell(load(last[0], 0), load(last[1], 0), per_m, growth, side)
         store(cells[0], 0, r)
         store(cells[1], 0, c)
         for i in range(rest, n):
@@ -51,20 +52,22 @@ def grid_cells(x, y, scales, per_m, side, row, column):  # type: ignore[no-untyp
 
 
 @inline
-def _cell(x, y, scales, per_m, side):  # type: ignore[no-untyped-def]
-    scale = splat(scales[0])
-    if per_m > 0:  # f(r) / r, interpolated
-        at = smaller(root(fma(x, x, y * y)) * per_m, np.float32(STEPS - 1))
-        k = whole(at)
-        low = gather(scales, k)
-        scale = fma(at - real(k), gather(scales, k + 1) - low, low)
+def _cell(x, y, per_m, growth, side):  # type: ignore[no-untyped-def]
+    scale = splat(per_m)
+    if growth > 0:  # ln(1 + u) / u, where ln(1 + u) = 4 artanh((t - 1) / (t + 1)), t the root of 1 + u
+        t = root(fma(root(fma(x, x, y * y)), splat(growth), splat(ONE)))
+        inverse = splat(ONE) / (t + ONE)
+        w = (t - ONE) * inverse
+        q = w * w
+        series = fma(q, fma(q, fma(q, fma(q, splat(NINTH), splat(SEVENTH)), splat(FIFTH)), splat(THIRD)), splat(ONE))
+        scale = scale * FOUR * inverse * inverse * series
     half, last = np.int32(side // 2), np.int32(side - 1)
     row, column = whole(floor(y * scale)) + half, whole(floor(x * scale)) + half
     return smaller(larger(row, 0), last), smaller(larger(column, 0), last)
 
 
 @kernel
-def lie_within(drawn, planar, offsets, ground_z, body_m, scales, per_m, min_share, within):  # type: ignore[no-untyped-def]
+def lie_within(drawn, planar, offsets, ground_z, body_m, per_m, growth, min_share, within):  # type: ignore[no-untyped-def]
     """within (K,) bool: clusters of which ``min_share`` of the points or more are on a map, below and above ``body_m``
     over the road, ground_z (K,) float32.
 
@@ -77,7 +80,7 @@ def lie_within(drawn, planar, offsets, ground_z, body_m, scales, per_m, min_shar
         first, last = offsets[k], offsets[k + 1]
         top, hits = splat(ground_z[k] + body_m), splat(np.int32(0))
         for i in range(first, last, LANES):
-            row, column = _cell(load(x, i), load(y, i), scales, per_m, side)
+            row, column = _cell(load(x, i), load(y, i), per_m, growth, side)
             row += ones(load(z, i) >= top) * np.int32(side)
             word = gather(flat, row * np.int32(words) + (column >> np.int32(5)))
             hit = (word >> (column & np.int32(31))) & np.int32(1)

@@ -28,7 +28,7 @@ def _find(parent, i):  # type: ignore[no-untyped-def]
 
 @inner
 def label_points(  # type: ignore[no-untyped-def]
-    points, n, body_m, scales, per_m, two_points, eight, grid, touched, row_start, scratch, begin, label, across
+    points, n, body_m, per_m, growth, two_points, eight, grid, touched, row_start, scratch, begin, label, across
 ):
     """Components of n points, as runs of points of one cell: begin (n + 1,) int32, where each run begins, and label
     (n,) int32, its component, -1 = none; both have room for so many and a vector more. Returns the numbers of runs and
@@ -38,13 +38,13 @@ def label_points(  # type: ignore[no-untyped-def]
     points, along the axis along which they are more.
 
     points (4, n or more) float32: x, y, z, height above the road; those lower than ``body_m`` fill the cells.
-    scales, per_m: of a ``CellGrid``. two_points: a cell needs two to be occupied; eight: cells that touch at a corner
-    are neighbours. grid (side, words, 4) uint64 and touched (side, words of bits of words) uint64 are as this function
-    left them, or 0. row_start (side + 1,) int32 and scratch (5, n + 1 or more) int32 are overwritten, scratch with room
-    for a vector more in every row.
+    per_m, growth: as in ``kernels_cells``. two_points: a cell needs two to be occupied; eight: cells that touch at a
+    corner are neighbours. grid (side, words, 4) uint64 and touched (side, words of bits of words) uint64 are as this
+    function left them, or 0. row_start (side + 1,) int32 and scratch (5, n + 1 or more) int32 are overwritten, scratch
+    with room for a vector more in every row.
     """
     key, parent, first, last = scratch[0, :n], scratch[1], scratch[2], scratch[3]
-    grid_cells(points[0, :n], points[1, :n], scales, per_m, grid.shape[0], key, scratch[4, :n])
+    grid_cells(points[0, :n], points[1, :n], per_m, growth, grid.shape[0], key, scratch[4, :n])
     for i in range(n):
         key[i] = cell_key(key[i], scratch[4, i], grid.shape[1], points[3, i] < body_m)
     runs = find_runs(key, begin)

@@ -20,7 +20,7 @@ from services.infra_lidar.kernels_take import possible, take_out
 
 SETTINGS = np.dtype(
     [(name, np.float32) for name in (
-        "per_m", "body_m", "max_height_m", "min_top_m", "max_diagonal_m",
+        "per_m", "growth_per_m", "body_m", "max_height_m", "min_top_m", "max_diagonal_m",
     )]
     + [(name, np.int64) for name in (
         "connectivity", "min_points", "max_points", "fewest", "widest", "enough",
@@ -33,12 +33,12 @@ MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by: they can on
 
 
 @kernel
-def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touched, row_start):  # type: ignore[no-untyped-def]
+def find_clusters(points, m, source, s, look, ints, floats, grid, touched, row_start):  # type: ignore[no-untyped-def]
     """Clusters of m points (4, m or more) float32, x, y, z and height above the road, with index ``source`` (m,) in the
     frame.
 
     s: a record of ``SETTINGS``; look: one of ``LOOK`` for the article's second look, which goes by all points, else
-    None. scales: of a ``CellGrid``. ints (INTS, m + 1 or more) int32 and floats (FLOATS, m or more) float32 are
+    None. ints (INTS, m + 1 or more) int32 and floats (FLOATS, m or more) float32 are
     scratch, with room for a vector more; grid, touched and row_start as in ``kernels_labels``.
     Returns copies, see ``ClusterPoints``: planar (3, S) float32, with room for a vector behind it, offsets (K + 1,)
     int32, members (T,) int32, member_offsets (K + 1,) int32, box (K, 8) float32.
@@ -46,10 +46,10 @@ def find_clusters(points, m, source, s, look, scales, ints, floats, grid, touche
     # Components of cells that are occupied as low as a body; what is higher joins tall ones, or is on its own
     begin, label, across = ints[0], ints[1], ints[2]
     runs, components = _components(
-        points, m, s.body_m, s, scales, ints[4:9], grid, touched, row_start, begin, label, across
+        points, m, s.body_m, s, ints[4:9], grid, touched, row_start, begin, label, across
     )  # fmt: skip
     if s.body_m < np.inf:
-        runs, components = _label_high(points, m, s, scales, runs, components, ints, floats, grid, touched, row_start)
+        runs, components = _label_high(points, m, s, runs, components, ints, floats, grid, touched, row_start)
 
     # What may be a cluster or a part of one, as copies that lie together
     scratch, room = ints[3:5], floats.shape[1]
@@ -103,15 +103,15 @@ def _each_alone(count):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _components(points, n, body_m, s, scales, scratch, grid, touched, row_start, begin, label, across):  # type: ignore[no-untyped-def]
+def _components(points, n, body_m, s, scratch, grid, touched, row_start, begin, label, across):  # type: ignore[no-untyped-def]
     return label_points(
-        points, n, body_m, scales, s.per_m, s.two_points, s.connectivity == 8, grid, touched, row_start,
+        points, n, body_m, s.per_m, s.growth_per_m, s.two_points, s.connectivity == 8, grid, touched, row_start,
         scratch, begin, label, across,
     )  # fmt: skip
 
 
 @inner
-def _label_high(points, m, s, scales, runs, components, ints, floats, grid, touched, row_start):  # type: ignore[no-untyped-def]
+def _label_high(points, m, s, runs, components, ints, floats, grid, touched, row_start):  # type: ignore[no-untyped-def]
     """Give high points to tall components, and label those that join nothing: a roof behind other cars, or a canopy.
 
     Runs, labels and extents in ints[:3] are written anew. Returns the numbers of runs and components.
@@ -122,7 +122,7 @@ def _label_high(points, m, s, scales, runs, components, ints, floats, grid, touc
     number = lift(points, of_points[:m], s.body_m, tall, high, ints[10])
     if number > 0:
         runs, found = _components(
-            high, number, np.float32(np.inf), s, scales, ints[4:9], grid, touched, row_start, begin, label,
+            high, number, np.float32(np.inf), s, ints[4:9], grid, touched, row_start, begin, label,
             across[components:],
         )  # fmt: skip
         spread(begin[: runs + 1], label[:runs], ints[11])

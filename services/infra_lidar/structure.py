@@ -49,7 +49,7 @@ class StructureMap:
         """(K,) bool: clusters that lie within the structure."""
         within = np.empty(len(found), bool)
         lie_within(
-            drawn, found.planar, found.offsets, ground_z_m, self._body_m, self._grid.scales, self._grid.per_m,
+            drawn, found.planar, found.offsets, ground_z_m, self._body_m, self._grid.per_m, self._grid.growth_per_m,
             MIN_SHARE, within,
         )  # fmt: skip
         return within
