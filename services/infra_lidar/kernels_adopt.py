@@ -10,81 +10,65 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inline, inner, kernel
-from services.infra_lidar.kernels_merge import LARGE_GAP_M, LARGE_LENGTH_M, LARGE_TOP_M, SMALL_TOP_M
+from services.infra_lidar.jit import inner, kernel
+from services.infra_lidar.kernels_merge import LARGE_GAP_M, LARGE_LENGTH_M, LARGE_TOP_M, SMALL_TOP_M, extent, interval
 from services.infra_lidar.ordering import rising
 
 CROSS_M, CROSS_SLOPE = 0.25, 0.006  # a gap, seen from the sensor, is at most two beams wide and 25 cm
 WIDTH_M = 2.9  # a bus is 2.55 m wide; the rest is noise and a direction that is a little off
 FACE_M = 0.2  # this near the outline a stray is on it
 OUTLINE_SHARE = 0.7
-TURNS_RAD = np.array([0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12])  # directions to try about that of a group
+# Cosine and sine of the directions to try about that of a group
+TURNS = np.array([(np.cos(a), np.sin(a)) for a in (0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12)])
 
 
 @inner
-def _interval(box, turned, k, c, s):  # type: ignore[no-untyped-def]
-    """Extent of footprint k along the direction (c, s) and across it."""
-    u, v = c * box[k, 0] + s * box[k, 1], c * box[k, 1] - s * box[k, 0]
-    own_c, own_s = turned[k, 0], turned[k, 1]
-    dot, cross = abs(own_c * c + own_s * s), abs(own_c * s - own_s * c)
-    half_u = 0.5 * (box[k, 3] * dot + box[k, 4] * cross)
-    half_v = 0.5 * (box[k, 3] * cross + box[k, 4] * dot)
-    return u - half_u, u + half_u, v - half_v, v + half_v
+def _grow(box, turned, members, strays, reach, c, s, strict, spans, taken):  # type: ignore[no-untyped-def]
+    """Mark the strays that the members grow by along (c, s); returns how many.
 
-
-@inline
-def _longest_gap(box, k, c, s):  # type: ignore[no-untyped-def]
-    """The gap before piece k that two beams explain, along (c, s); the sensor is above (0, 0)."""
-    distance = max(np.hypot(box[k, 0], box[k, 1]), 1e-3)
-    sine = abs(c * box[k, 1] - s * box[k, 0]) / distance
-    return min(LARGE_GAP_M, (CROSS_M + CROSS_SLOPE * distance) / max(sine, 1e-3))
-
-
-@inner
-def _grow(box, turned, members, strays, yaw, strict, taken):  # type: ignore[no-untyped-def]
-    """Mark the strays that the members grow by along ``yaw``; returns how many.
-
-    ``strict``: only those on the outline, and none where they are few.
+    reach (S, 2): distance of each stray and how wide a gap two beams explain there, seen at a right angle; the sensor
+    is above (0, 0). ``strict``: only those on the outline, and none where they are few. spans (S, 4) is written.
     """
-    c, s = np.cos(yaw), np.sin(yaw)
-    u0 = v0 = np.inf
-    u1 = v1 = -np.inf
-    top = np.float32(0.0)
-    for k in members:
-        a, b, d, e = _interval(box, turned, k, c, s)
-        u0, u1, v0, v1 = min(u0, a), max(u1, b), min(v0, d), max(v1, e)
-        top = max(top, box[k, 7] + box[k, 5])
+    u0, u1, v0, v1 = extent(box, turned, members, c, s)
     taken[:] = False
     if u1 - u0 > LARGE_LENGTH_M or v1 - v0 > WIDTH_M:
         return 0
-    number = 0
-    away = np.empty(len(strays))
+    possible, away, m = np.empty(len(strays), np.int64), np.empty(len(strays)), 0
     for i in range(len(strays)):
-        away[i] = abs(c * box[strays[i], 0] + s * box[strays[i], 1] - 0.5 * (u0 + u1))
-    for i in rising(away):
-        k = strays[i]
-        a, b, d, e = _interval(box, turned, k, c, s)
-        if max(a - u1, u0 - b) > _longest_gap(box, k, c, s):
+        a, b, d, e = interval(box, turned, strays[i], c, s)
+        spans[i, 0], spans[i, 1], spans[i, 2], spans[i, 3] = a, b, d, e
+        possible[m], away[m] = i, abs((a + b) - (u0 + u1))
+        m += max(u1, b) - min(u0, a) <= LARGE_LENGTH_M and max(v1, e) - min(v0, d) <= WIDTH_M
+    number = 0
+    for j in rising(away[:m]):
+        i = possible[j]
+        a, b, d, e = spans[i]
+        gap, across = max(a - u1, u0 - b), 0.5 * abs(d + e)
+        if gap > LARGE_GAP_M or gap * max(across, 1e-3 * reach[i, 0]) > reach[i, 0] * reach[i, 1]:
             continue
         a, b, d, e = min(u0, a), max(u1, b), min(v0, d), max(v1, e)
         if b - a <= LARGE_LENGTH_M and e - d <= WIDTH_M:
             u0, u1, v0, v1 = a, b, d, e
-            top = max(top, box[k, 7] + box[k, 5])
             taken[i] = True
             number += 1
-    return _keep_outline(box, turned, strays, c, s, v0, v1, top, taken) if strict else number
+    return _keep_outline(box, members, strays, spans, v0, v1, taken) if strict else number
 
 
 @inner
-def _keep_outline(box, turned, strays, c, s, v0, v1, top, taken):  # type: ignore[no-untyped-def]
+def _keep_outline(box, members, strays, spans, v0, v1, taken):  # type: ignore[no-untyped-def]
     """Keep of the taken those on a side or on the roof; all go where those are few. Returns how many are left."""
-    number, on = 0, 0
+    number, on, top = 0, 0, np.float32(0.0)
+    for k in members:
+        top = max(top, box[k, 7] + box[k, 5])
+    for i in range(len(strays)):
+        if taken[i]:
+            top = max(top, box[strays[i], 7] + box[strays[i], 5])
     for i in range(len(strays)):
         if taken[i]:
             number += 1
             k = strays[i]
-            _, _, d, e = _interval(box, turned, k, c, s)
-            taken[i] = (d - v0 < FACE_M) | (v1 - e < FACE_M) | (top - box[k, 7] - box[k, 5] < FACE_M)
+            at_side = (spans[i, 2] - v0 < FACE_M) | (v1 - spans[i, 3] < FACE_M)
+            taken[i] = at_side | (top - box[k, 7] - box[k, 5] < FACE_M)
             on += taken[i]
     if on < OUTLINE_SHARE * number:
         taken[:] = False
@@ -108,18 +92,28 @@ def _near(box, core, loose, size, group, min_points):  # type: ignore[no-untyped
 def _best(box, turned, members, strays):  # type: ignore[no-untyped-def]
     """(S,) bool: the strays that the members take in the direction in which they take most."""
     taken, best = np.zeros(len(strays), np.bool_), np.zeros(len(strays), np.bool_)
-    middle = np.float64(0.0)  # tried where no direction of a member takes anything
+    reach, spans = np.empty((len(strays), 2)), np.empty((len(strays), 4))
+    for i in range(len(strays)):
+        reach[i, 0] = max(np.hypot(box[strays[i], 0], box[strays[i], 1]), 1e-3)
+        reach[i, 1] = CROSS_M + CROSS_SLOPE * reach[i, 0]
+    middle_c, middle_s = np.float64(1.0), np.float64(0.0)  # tried where no direction of a member takes anything
     for strict in range(2):  # first any direction of a member, then directions about the best of these
-        most, tries, best_yaw = 0, len(TURNS_RAD) if strict else 2 * len(members), middle
+        most, tries, best_c, best_s = 0, len(TURNS) if strict else 2 * len(members), middle_c, middle_s
         best[:] = False
         for i in range(tries):
-            yaw = middle + TURNS_RAD[i] if strict else box[members[i // 2], 6] + 0.5 * np.pi * (i % 2)
-            number = _grow(box, turned, members, strays, yaw, strict == 1, taken)
+            if strict:
+                turn_c, turn_s = TURNS[i]
+                c, s = middle_c * turn_c - middle_s * turn_s, middle_s * turn_c + middle_c * turn_s
+            else:
+                c, s = np.float64(turned[members[i // 2], 0]), np.float64(turned[members[i // 2], 1])
+                if i % 2:
+                    c, s = -s, c
+            number = _grow(box, turned, members, strays, reach, c, s, strict == 1, spans, taken)
             if number > most:
-                most, best_yaw = number, yaw
+                most, best_c, best_s = number, c, s
                 for k in range(len(taken)):  # spelled out: whole-array assignments take the compiler seconds
                     best[k] = taken[k]
-        middle = best_yaw
+        middle_c, middle_s = best_c, best_s
     return best
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from services.infra_lidar.extremes import in_turn
 from services.infra_lidar.jit import inner
-from services.infra_lidar.vectors import LANES, gather, lane_count, lanes, load, select, splat, store, store_chosen
+from services.infra_lidar.vectors import LANES, gather_listed, lane_count, lanes, load, splat, store, store_chosen
 
 BAND_M = np.float32(0.4)  # something that has points in the top of the body band goes on above it
 SHARE = 0.03
@@ -17,47 +17,59 @@ FEWEST = 3
 
 
 @inner
-def tall_ones(label, above, body_m, components):  # type: ignore[no-untyped-def]
-    """(components + 1,) int32: 1 for labels, counted from -1, that reach the top of the body band.
-
-    label (M,) int32, above (M,) float32: height of the points over the road.
-    """
-    in_band, total = np.zeros(components + 1, np.int32), np.zeros(components + 1, np.int32)
-    band_m, quarter = body_m - BAND_M, len(label) // 4
-    for i in range(len(label)):
-        j = in_turn(i, quarter)
-        k = np.uint32(label[j] + np.int32(1))
-        total[k] += np.int32(above[j] < body_m)
-        in_band[k] += np.int32((above[j] < body_m) & (above[j] >= band_m))
-    for k in range(1, components + 1):
-        in_band[k] = (in_band[k] >= FEWEST) & (in_band[k] >= SHARE * total[k])
-    in_band[0] = 0
-    return in_band
+def find_high(above, label, body_m, high, high_label, top_label):  # type: ignore[no-untyped-def]
+    """Index of the points that are high to high (M,) int32, their label to high_label (M,) int32, and that of points in
+    the top of the body band to top_label (M,) int32, all with room for a vector more. label (M,) int32, above (M,)
+    float32: height over the road. Returns how many there are of each."""
+    n, highs, tops = len(label), 0, 0
+    for i in range(0, n, LANES):
+        height, k = load(above, i), load(label, i)
+        upper = (height >= body_m - BAND_M) & (lanes() < np.int32(n - i))
+        if lane_count(upper) == 0:
+            continue
+        is_high, is_top = upper & (height >= body_m), upper & (height < body_m)
+        store_chosen(high, highs, lanes() + np.int32(i), is_high)
+        store_chosen(high_label, highs, k, is_high)
+        store_chosen(top_label, tops, k, is_top)
+        highs, tops = highs + lane_count(is_high), tops + lane_count(is_top)
+    store(high, highs, splat(np.int32(0)))  # whole vectors of them are read
+    store(high_label, highs, splat(np.int32(-1)))
+    return highs, tops
 
 
 @inner
-def lift(points, label, body_m, tall, high, free):  # type: ignore[no-untyped-def]
-    """Points (4, M) that are high and belong to nothing tall, one after the other to high (4, M): their number, and in
-    free (M,) int32 their index. Their label (M,) becomes -1. high and free have room for a vector more."""
-    above, number, n = points[3], 0, len(label)
-    whole = n - n % LANES
-    for i in range(0, whole, LANES):
-        k = load(label, i)
-        loose = (load(above, i) >= body_m) & (gather(tall, k + np.int32(1)) == np.int32(0))
-        found = lane_count(loose)
-        if found > 0:
-            store(label, i, select(loose, np.int32(-1), k))
-            for row in range(4):
-                store_chosen(high[row], number, load(points[row], i), loose)
-            store_chosen(free, number, lanes() + np.int32(i), loose)
-            number += found
-    for i in range(whole, n):
-        if above[i] >= body_m and tall[label[i] + 1] == 0:
-            label[i], free[number] = -1, i
-            for row in range(4):
-                high[row, number] = points[row, i]
-            number += 1
-    return number
+def tall_ones(number, high_label, top_label):  # type: ignore[no-untyped-def]
+    """(components + 1,) int32: 1 for labels, counted from -1, that reach the top of the body band.
+
+    number (components + 1,) int32: how many points have each label, from which the high ones are taken; high_label
+    (H,) and top_label (T,) int32: labels of the points that are high, or in the top of the band.
+    """
+    in_top, quarter = np.zeros(len(number), np.int32), len(high_label) // 4
+    for i in range(len(top_label)):
+        in_top[np.uint32(top_label[i] + np.int32(1))] += 1
+    for i in range(len(high_label)):
+        number[np.uint32(high_label[in_turn(i, quarter)] + np.int32(1))] -= 1
+    for k in range(1, len(number)):
+        in_top[k] = (in_top[k] >= FEWEST) & (in_top[k] >= SHARE * number[k])
+    in_top[0] = 0
+    return in_top
+
+
+@inner
+def lift(points, label, tall, high, high_label, lifted):  # type: ignore[no-untyped-def]
+    """Of the points (4, M or more) that are high those that belong to nothing tall, one after the other to lifted (4, H
+    or more); high (H,) int32 keeps their index, and their label (M,) becomes -1. Returns how many there are."""
+    n, loose = len(high), 0
+    for i in range(0, n, LANES):
+        free = (gather_listed(tall[1:], high_label, i) == np.int32(0)) & (lanes() < np.int32(n - i))
+        store_chosen(high, loose, load(high, i), free)
+        loose += lane_count(free)
+    for i in range(loose):
+        label[np.uint32(high[i])] = -1
+    for i in range(0, loose, LANES):
+        for row in range(4):
+            store(lifted[row], i, gather_listed(points[row], high, i))
+    return loose
 
 
 @inner

@@ -60,49 +60,64 @@ def _gap(box, turned, corners, a, b):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _extent(corners, members, yaw):  # type: ignore[no-untyped-def]
-    """Length along ``yaw`` and width across it of all corners of the members."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    u0 = v0 = np.inf
-    u1 = v1 = -np.inf
-    for k in members:
-        for i in range(4):
-            x, y = corners[k, i, 0], corners[k, i, 1]
-            u, v = c * x + s * y, c * y - s * x
-            u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
-    return u1 - u0, v1 - v0
+def interval(box, turned, k, c, s):  # type: ignore[no-untyped-def]
+    """Extent of footprint k along the direction (c, s) and across it."""
+    u, v = c * box[k, 0] + s * box[k, 1], c * box[k, 1] - s * box[k, 0]
+    own_c, own_s = turned[k, 0], turned[k, 1]
+    dot, cross = abs(own_c * c + own_s * s), abs(own_c * s - own_s * c)
+    half_u = 0.5 * (box[k, 3] * dot + box[k, 4] * cross)
+    half_v = 0.5 * (box[k, 3] * cross + box[k, 4] * dot)
+    return u - half_u, u + half_u, v - half_v, v + half_v
 
 
 @inner
-def _fits(box, corners, members, a, b, gap):  # type: ignore[no-untyped-def]
-    """Whether the members, of which a and b are ``gap`` apart, can be one vehicle."""
-    top, low_top = 0.0, np.inf
+def extent(box, turned, members, c, s):  # type: ignore[no-untyped-def]
+    """The same of all members together."""
+    u0 = v0 = np.inf
+    u1 = v1 = -np.inf
     for k in members:
-        t = box[k, 7] + box[k, 5]
-        top, low_top = max(top, t), min(low_top, t)
-    across = np.arctan2(box[b, 1] - box[a, 1], box[b, 0] - box[a, 0])
-    best, length, width = np.inf, 0.0, 0.0
-    for i in range(3):
-        yaw = box[a, 6] if i == 0 else (box[b, 6] if i == 1 else across)
-        along, side = _extent(corners, members, yaw)
-        if along * side < best:
-            best, length, width = along * side, along, side
-            chosen = yaw
-    if width > length:
-        length, width, chosen = width, length, chosen + 0.5 * np.pi
+        a, b, d, e = interval(box, turned, k, c, s)
+        u0, u1, v0, v1 = min(u0, a), max(u1, b), min(v0, d), max(v1, e)
+    return u0, u1, v0, v1
+
+
+@inner
+def _fits(box, turned, members, a, b, gap):  # type: ignore[no-untyped-def]
+    """Whether the members, of which a and b are ``gap`` apart, can be one vehicle."""
+    top = 0.0
+    for k in members:
+        top = max(top, box[k, 7] + box[k, 5])
     large = LARGE_TOP_M >= top > SMALL_TOP_M
     if top > LARGE_TOP_M or gap > (LARGE_GAP_M if large else SMALL_GAP_M):
         return False
+    c, s, length, width = _tightest(box, turned, members, a, b)
     if length > (LARGE_LENGTH_M if large else SMALL_LENGTH_M) or width > (LARGE_WIDTH_M if large else SMALL_WIDTH_M):
         return False
     if gap <= TOUCH_M:
         return True
-    own = np.empty(1, np.int64)
-    own[0] = a
-    _, side_a = _extent(corners, own, chosen)
-    own[0] = b
-    _, side_b = _extent(corners, own, chosen)
-    return width <= max(side_a, side_b) + SIDE_STEP_M
+    _, _, a0, a1 = interval(box, turned, a, c, s)
+    _, _, b0, b1 = interval(box, turned, b, c, s)
+    return width <= max(a1 - a0, b1 - b0) + SIDE_STEP_M
+
+
+@inner
+def _tightest(box, turned, members, a, b):  # type: ignore[no-untyped-def]
+    """The direction (c, s) along which the members need the least area, its length and its width: that of a, that of b,
+    or the one from a to b."""
+    dx, dy = box[b, 0] - box[a, 0], box[b, 1] - box[a, 1]
+    apart = max(np.hypot(dx, dy), 1e-6)
+    best, length, width, best_c, best_s = np.inf, 0.0, 0.0, 1.0, 0.0
+    for i in range(3):
+        c, s = dx / apart, dy / apart
+        if i < 2:
+            k = a if i == 0 else b
+            c, s = turned[k, 0], turned[k, 1]
+        u0, u1, v0, v1 = extent(box, turned, members, c, s)
+        if (u1 - u0) * (v1 - v0) < best:
+            best, length, width, best_c, best_s = (u1 - u0) * (v1 - v0), u1 - u0, v1 - v0, c, s
+    if width > length:
+        return -best_s, best_c, width, length
+    return best_c, best_s, length, width
 
 
 @inner
@@ -123,18 +138,18 @@ def merge_fragments(box, turned, counts, min_count, group):  # type: ignore[no-u
     box (K, 8) as measured by ``kernels_clusters.measure`` and its ``directions``; group (K,) int32 is written: smallest
     member's index.
     """
-    usable, corners = _usable(box, counts, min_count), _corners(box, turned)
+    usable = _usable(box, counts, min_count)
     following, members = np.empty(len(counts), np.int64), np.empty(len(usable), np.int64)
     for k in range(len(counts)):
         group[k] = following[k] = k  # the members of a group stand in a ring
-    pairs, gaps = _near_pairs(box, turned, corners, usable)
+    pairs, gaps = _near_pairs(box, turned, _corners(box, turned), usable)
     for p in rising(gaps):
         a, b = pairs[p, 0], pairs[p, 1]
         ga, gb = group[a], group[b]
         if ga == gb:
             continue
         number = _go_round(following, b, members, _go_round(following, a, members, 0))
-        if _fits(box, corners, members[:number], a, b, gaps[p]):
+        if _fits(box, turned, members[:number], a, b, gaps[p]):
             following[a], following[b] = following[b], following[a]
             for k in members[:number]:
                 group[k] = min(ga, gb)
@@ -180,11 +195,13 @@ def _near_pairs(box, turned, corners, usable):  # type: ignore[no-untyped-def]
             b = usable[j]
             if box[b, 0] - half[b] > box[a, 0] + half[a] + LARGE_GAP_M:
                 break
-            if abs(box[a, 1] - box[b, 1]) > half[a] + half[b] + LARGE_GAP_M or n == len(pairs):
-                continue
             tall = max(box[a, 7] + box[a, 5], box[b, 7] + box[b, 5]) > SMALL_TOP_M
+            widest = LARGE_GAP_M if tall else SMALL_GAP_M
+            dx, dy, apart = box[b, 0] - box[a, 0], box[b, 1] - box[a, 1], half[a] + half[b] + widest
+            if dx * dx + dy * dy > apart * apart or n == len(pairs):
+                continue
             gap = _gap(box, turned, corners, a, b)
-            if gap <= (LARGE_GAP_M if tall else SMALL_GAP_M):
+            if gap <= widest:
                 pairs[n, 0], pairs[n, 1], gaps[n] = a, b, gap
                 n += 1
     return pairs[:n], gaps[:n]

@@ -11,7 +11,7 @@ import numpy as np
 from services.infra_lidar.jit import inner, kernel
 from services.infra_lidar.kernels_adopt import adopt_strays
 from services.infra_lidar.kernels_clusters import regroup
-from services.infra_lidar.kernels_high import lift, put_down, spread, tall_ones
+from services.infra_lidar.kernels_high import find_high, lift, put_down, spread, tall_ones
 from services.infra_lidar.kernels_labels import label_points
 from services.infra_lidar.kernels_merge import directions, merge_fragments
 from services.infra_lidar.kernels_runs import find_runs
@@ -116,19 +116,31 @@ def _label_high(points, m, s, runs, components, ints, floats, grid, touched, row
 
     Runs, labels and extents in ints[:3] are written anew. Returns the numbers of runs and components.
     """
-    begin, label, across, of_points, high = ints[0], ints[1], ints[2], ints[9], floats[:4]
+    begin, label, across, of_points, lifted = ints[0], ints[1], ints[2], ints[9], floats[:4]
     spread(begin[: runs + 1], label[:runs], of_points)
-    tall = tall_ones(of_points[:m], points[3], s.body_m, components)
-    number = lift(points, of_points[:m], s.body_m, tall, high, ints[10])
+    highs, tops = find_high(points[3], of_points[:m], s.body_m, ints[10], ints[13], ints[11])
+    high, high_label, top_label = ints[10, :highs], ints[13, :highs], ints[11, :tops]
+    tall = tall_ones(_count_points(begin, label[:runs], components, ints[12]), high_label, top_label)
+    number = lift(points, of_points, tall, high, high_label, lifted)
     if number > 0:
         runs, found = _components(
-            high, number, np.float32(np.inf), s, ints[4:9], grid, touched, row_start, begin, label,
+            lifted, number, np.float32(np.inf), s, ints[4:9], grid, touched, row_start, begin, label,
             across[components:],
         )  # fmt: skip
         spread(begin[: runs + 1], label[:runs], ints[11])
-        put_down(ints[11], np.int32(components), ints[10, :number], of_points)
+        put_down(ints[11], np.int32(components), high[:number], of_points)
         components += found
     return _runs(of_points[:m], begin, label), components
+
+
+@inner
+def _count_points(begin, label, components, spans):  # type: ignore[no-untyped-def]
+    """(components + 1,) int32: points of each label, counted from -1, of runs; spans (runs + 1 or more,) int32 is
+    scratch."""
+    number = np.zeros(components + 1, np.int32)
+    for r in range(find_runs(label, spans)):  # of runs of one label, one behind the other, there are far fewer
+        number[np.uint32(label[spans[r]] + np.int32(1))] += begin[spans[r + 1]] - begin[spans[r]]
+    return number
 
 
 @inner

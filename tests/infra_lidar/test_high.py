@@ -12,9 +12,12 @@ BODY_M = np.float32(2.0)
 
 
 @numba.njit(error_model="numpy")
-def _free(points, label, components, high, free):
-    tall = kernels.tall_ones(label, points[3], BODY_M, components)
-    return kernels.lift(points, label, BODY_M, tall, high, free)
+def _free(points, label, number, lifted, high, high_label, top_label):
+    highs, tops = kernels.find_high(points[3], label, BODY_M, high, high_label, top_label)
+    high_label, top_label = high_label[:highs], top_label[:tops]
+    return kernels.lift(
+        points, label, kernels.tall_ones(number, high_label, top_label), high[:highs], high_label, lifted
+    )
 
 
 @numba.njit(error_model="numpy")
@@ -31,7 +34,8 @@ def _put_down(found, by, free, label):
 @given(st.integers(0, 2**32 - 1), st.integers(0, 6 * LANES), st.integers(1, 4))
 def test_who_reaches_up_to_a_body_s_height_keeps_what_is_above(seed, n, components):
     generator = np.random.default_rng(seed)
-    points = generator.normal(size=(4, n)).astype(np.float32)
+    room = generator.normal(size=(4, n + LANES)).astype(np.float32)
+    points = room[:, :n]
     points[3] = generator.choice(np.float32([0.5, 1.59, 1.61, 1.99, 2.0, 3.0]), n, p=[0.6, 0.1, 0.05, 0.05, 0.1, 0.1])
     label = generator.integers(-1, components, n).astype(np.int32)
     low, high = points[3] < BODY_M, points[3] >= BODY_M
@@ -40,10 +44,18 @@ def test_who_reaches_up_to_a_body_s_height_keeps_what_is_above(seed, n, componen
     tall = [(band & mine).sum() >= max(kernels.FEWEST, kernels.SHARE * (low & mine).sum()) for mine in of]
     loose = high & ~np.any([mine & is_tall for mine, is_tall in zip(of, tall, strict=True)], axis=0)
 
-    lifted, free = np.empty((4, n + LANES), np.float32), np.empty(n + LANES, np.int32)
-    now = label.copy()
-    number = _free(points, now, components, lifted, free)
-    assert free[:number].tolist() == np.flatnonzero(loose).tolist()
+    lifted, (high, high_label, top_label) = np.empty((4, n + LANES), np.float32), np.empty((3, n + LANES), np.int32)
+    now = np.append(label, np.full(LANES, 10**6, np.int32))[:n]
+    number = _free(
+        room,
+        now,
+        np.bincount(label + 1, minlength=components + 1).astype(np.int32),
+        lifted,
+        high,
+        high_label,
+        top_label,
+    )
+    assert high[:number].tolist() == np.flatnonzero(loose).tolist()
     assert np.array_equal(lifted[:, :number], points[:, loose])
     assert np.array_equal(now, np.where(loose, -1, label))
 
