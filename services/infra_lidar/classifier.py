@@ -19,6 +19,7 @@ from services.infra_lidar.classes import CLASSES, LABELS, UNKNOWN
 from services.infra_lidar.config import ClassifierConfig
 from services.infra_lidar.features import SPACING, compute_features, compute_spacing, may_wait
 from services.infra_lidar.forest import Forest, ModelError, load_forest
+from services.infra_lidar.forest_walk import likeliest
 
 __all__ = ["CLASSES", "LABELS", "SHIPPED_MODEL", "UNKNOWN", "Classifier"]
 
@@ -81,6 +82,6 @@ class Classifier:
         return self._decide(self.forest.probabilities(features))
 
     def _decide(self, probabilities: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        confidence = probabilities.max(axis=1, initial=0.0)
-        labels = np.where(confidence >= self._min_confidence, probabilities.argmax(axis=1), UNKNOWN)
+        labels, confidence = np.empty(len(probabilities), np.int64), np.empty(len(probabilities), np.float32)
+        likeliest(probabilities, self._min_confidence, UNKNOWN, labels, confidence)
         return labels, confidence, probabilities

@@ -161,6 +161,21 @@ def calibrate(shares: np.ndarray, known_x: np.ndarray, known_y: np.ndarray) -> N
             shares[k, c] /= total
 
 
+@kernel
+def likeliest(
+    probabilities: np.ndarray, enough: float, unknown: int, labels: np.ndarray, confidence: np.ndarray
+) -> None:
+    """labels (K,) int64: the likeliest class of each row (K, C) float32, ``unknown`` where it has a probability of less
+    than ``enough``; confidence (K,) float32: that probability."""
+    for k in range(len(probabilities)):
+        best = 0
+        for c in range(1, probabilities.shape[1]):
+            if probabilities[k, c] > probabilities[k, best]:
+                best = c
+        confidence[k] = probabilities[k, best]
+        labels[k] = best if confidence[k] >= enough else unknown
+
+
 @inner
 def _calibrated(share: np.float32, x: np.ndarray, y: np.ndarray) -> np.float32:
     last, b, part = len(x) - 1, 0, np.float32(0.0)

@@ -12,7 +12,7 @@ import numpy as np
 
 from services.infra_lidar.jit import inner, kernel
 from services.infra_lidar.kernels_merge import LARGE_GAP_M, LARGE_LENGTH_M, LARGE_TOP_M, SMALL_TOP_M, extent, interval
-from services.infra_lidar.ordering import rising
+from services.infra_lidar.ordering import rising, rising_in
 
 CROSS_M, CROSS_SLOPE = 0.25, 0.006  # a gap, seen from the sensor, is at most two beams wide and 25 cm
 WIDTH_M = 2.9  # a bus is 2.55 m wide; the rest is noise and a direction that is a little off
@@ -23,26 +23,27 @@ TURNS = np.array([(np.cos(a), np.sin(a)) for a in (0.0, 0.04, -0.04, 0.08, -0.08
 
 
 @inner
-def _grow(box, turned, members, strays, reach, c, s, strict, spans, taken):  # type: ignore[no-untyped-def]
+def _grow(box, turned, members, strays, reach, c, s, strict, floats, ints, taken):  # type: ignore[no-untyped-def]
     """Mark the strays that the members grow by along (c, s); returns how many.
 
     reach (S, 2): distance of each stray and how wide a gap two beams explain there, seen at a right angle; the sensor
-    is above (0, 0). ``strict``: only those on the outline, and none where they are few. spans (S, 4) is written.
+    is above (0, 0). ``strict``: only those on the outline, and none where they are few. floats (5, S) and ints (3, S)
+    int64 are scratch.
     """
     u0, u1, v0, v1 = extent(box, turned, members, c, s)
     taken[:] = False
     if u1 - u0 > LARGE_LENGTH_M or v1 - v0 > WIDTH_M:
         return 0
-    possible, away, m = np.empty(len(strays), np.int64), np.empty(len(strays)), 0
+    spans, away, possible, m = floats[:4], floats[4], ints[0], 0
     for i in range(len(strays)):
         a, b, d, e = interval(box, turned, strays[i], c, s)
-        spans[i, 0], spans[i, 1], spans[i, 2], spans[i, 3] = a, b, d, e
+        spans[0, i], spans[1, i], spans[2, i], spans[3, i] = a, b, d, e
         possible[m], away[m] = i, abs((a + b) - (u0 + u1))
         m += max(u1, b) - min(u0, a) <= LARGE_LENGTH_M and max(v1, e) - min(v0, d) <= WIDTH_M
     number = 0
-    for j in rising(away[:m]):
+    for j in rising_in(away[:m], ints[1], ints[2]):
         i = possible[j]
-        a, b, d, e = spans[i]
+        a, b, d, e = spans[0, i], spans[1, i], spans[2, i], spans[3, i]
         gap, across = max(a - u1, u0 - b), 0.5 * abs(d + e)
         if gap > LARGE_GAP_M or gap * max(across, 1e-3 * reach[i, 0]) > reach[i, 0] * reach[i, 1]:
             continue
@@ -67,7 +68,7 @@ def _keep_outline(box, members, strays, spans, v0, v1, taken):  # type: ignore[n
         if taken[i]:
             number += 1
             k = strays[i]
-            at_side = (spans[i, 2] - v0 < FACE_M) | (v1 - spans[i, 3] < FACE_M)
+            at_side = (spans[2, i] - v0 < FACE_M) | (v1 - spans[3, i] < FACE_M)
             taken[i] = at_side | (top - box[k, 7] - box[k, 5] < FACE_M)
             on += taken[i]
     if on < OUTLINE_SHARE * number:
@@ -92,7 +93,7 @@ def _near(box, core, loose, size, group, min_points):  # type: ignore[no-untyped
 def _best(box, turned, members, strays):  # type: ignore[no-untyped-def]
     """(S,) bool: the strays that the members take in the direction in which they take most."""
     taken, best = np.zeros(len(strays), np.bool_), np.zeros(len(strays), np.bool_)
-    reach, spans = np.empty((len(strays), 2)), np.empty((len(strays), 4))
+    reach, floats, ints = np.empty((len(strays), 2)), np.empty((5, len(strays))), np.empty((3, len(strays)), np.int64)
     for i in range(len(strays)):
         reach[i, 0] = max(np.hypot(box[strays[i], 0], box[strays[i], 1]), 1e-3)
         reach[i, 1] = CROSS_M + CROSS_SLOPE * reach[i, 0]
@@ -108,7 +109,7 @@ def _best(box, turned, members, strays):  # type: ignore[no-untyped-def]
                 c, s = np.float64(turned[members[i // 2], 0]), np.float64(turned[members[i // 2], 1])
                 if i % 2:
                     c, s = -s, c
-            number = _grow(box, turned, members, strays, reach, c, s, strict == 1, spans, taken)
+            number = _grow(box, turned, members, strays, reach, c, s, strict == 1, floats, ints, taken)
             if number > most:
                 most, best_c, best_s = number, c, s
                 for k in range(len(taken)):  # spelled out: whole-array assignments take the compiler seconds

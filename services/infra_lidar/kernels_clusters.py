@@ -189,8 +189,7 @@ def measure_one(x, y, z, box):  # type: ignore[no-untyped-def]
     sx, sy, sxx, sxy, syy = _moments(x, y)
     mx, my = sx / n, sy / n
     cxx, cxy, cyy = sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my
-    yaw = 0.5 * np.arctan2(2.0 * cxy, cxx - cyy)
-    c, s = np.float32(np.cos(yaw)), np.float32(np.sin(yaw))
+    c, s = _principal(cxx - cyy, 2.0 * cxy)
     u0, u1, v0, v1 = _extents_along(x, y, c, s)
     w0, w1 = low_high(z)
     u, v = (u0 + u1) * np.float32(0.5), (v0 + v1) * np.float32(0.5)
@@ -198,7 +197,17 @@ def measure_one(x, y, z, box):  # type: ignore[no-untyped-def]
     box[1] = y[0] + s * u + c * v
     box[2] = (w0 + w1) * np.float32(0.5)
     box[3], box[4], box[5] = u1 - u0, v1 - v0, w1 - w0
-    box[6] = yaw
+    box[6] = np.arctan2(s, c)
+
+
+@inner
+def _principal(difference, twice):  # type: ignore[no-untyped-def]
+    """Cosine and sine of half the angle of (difference, twice), which is that of the larger principal axis."""
+    length = np.sqrt(difference * difference + twice * twice)
+    if length == 0.0:
+        return np.float32(1.0), np.float32(0.0)
+    c, s = np.sqrt(0.5 + 0.5 * difference / length), np.sqrt(max(0.5 - 0.5 * difference / length, 0.0))
+    return np.float32(c), np.float32(s if twice >= 0.0 else -s)
 
 
 @sum_kernel

@@ -15,9 +15,16 @@ from services.infra_lidar.jit import inner, kernel
 @kernel
 def rising(keys):  # type: ignore[no-untyped-def]
     """(n,) int64: indices of the keys (n,) float64 in rising order, equal ones as they come (merge sort, bottom up)."""
-    n = len(keys)
-    order, other = np.arange(n), np.empty(n, np.int64)
-    width = 1
+    return rising_in(keys, np.empty(len(keys), np.int64), np.empty(len(keys), np.int64))
+
+
+@inner
+def rising_in(keys, order, other):  # type: ignore[no-untyped-def]
+    """The same with memory that is there, order and other (n or more,) int64: what is sorted again and again is mostly
+    short. The answer is the head of one of them."""
+    n, width = len(keys), 1
+    for i in range(n):
+        order[i] = i
     while width < n:
         for start in range(0, n, 2 * width):
             middle, stop = min(start + width, n), min(start + 2 * width, n)
@@ -31,7 +38,7 @@ def rising(keys):  # type: ignore[no-untyped-def]
                     b += 1
         order, other = other, order
         width *= 2
-    return order
+    return order[:n]
 
 
 @kernel
