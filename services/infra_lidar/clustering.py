@@ -16,7 +16,7 @@ from services.infra_lidar import kernels_steps as kernels
 from services.infra_lidar.buffers import LINE_FLOATS, Buffers
 from services.infra_lidar.cells import CellGrid
 from services.infra_lidar.config import ClusteringConfig
-from services.infra_lidar.ground import Levelled
+from services.infra_lidar.ground import Obstacles
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Clustering:
         """Bytes of the cell grids."""
         return self._grid.nbytes + self._touched.nbytes + self._row_start.nbytes
 
-    def cluster(self, frame: Levelled) -> ClusterPoints:
+    def cluster(self, frame: Obstacles) -> ClusterPoints:
         """Group the points of a frame that are not ground."""
         m, take = len(frame.rest), self._buffers.take
         room = m + -m % LINE_FLOATS + LINE_FLOATS

@@ -21,28 +21,38 @@ END_BIN_M = 0.1
 
 
 @dataclass(slots=True)
-class Levelled:
-    """One frame in the level frame: planar float32 views into buffers, valid until the next frame.
+class Obstacles:
+    """What of a frame is no ground: views into buffers, valid until the next frame.
 
-    ground: (N,) bool. cell: (N,) int16 polar cell, -1 = clipped. rest: (M,) int32 indices, in the whole frame, of the
-    points that are inside the limits and not ground. points: (4, M or more) float32, their x, y, z and height above
-    the local road.
+    ground: (N,) bool, which of the points that were looked at are ground. rest: (M,) int32 indices, in the whole frame,
+    of the points that are inside the limits and not ground. points: (4, M or more) float32, their x, y, z (m, level
+    frame) and height above the local road.
+    """
+
+    ground: np.ndarray
+    rest: np.ndarray
+    points: np.ndarray
+
+    @property
+    def above_m(self) -> np.ndarray:
+        """(M,) float32 height above the local road."""
+        return self.points[3, : len(self.rest)]
+
+
+@dataclass(slots=True)
+class Levelled(Obstacles):
+    """The same of a whole frame, and all its points in the level frame.
+
+    x, y, z: (N,) float32. cell: (N,) int16 polar cell, -1 = clipped. returns: how many there are, near: those of them
+    closer than ``near_m``.
     """
 
     x: np.ndarray
     y: np.ndarray
     z: np.ndarray
     cell: np.ndarray
-    ground: np.ndarray
-    rest: np.ndarray
-    points: np.ndarray
     returns: int = 0
-    near: int = 0  # returns closer than ``near_m``
-
-    @property
-    def above_m(self) -> np.ndarray:
-        """(M,) float32 height above the local road."""
-        return self.points[3, : len(self.rest)]
+    near: int = 0
 
 
 class Ground:
@@ -66,10 +76,12 @@ class Ground:
         self.height_m = np.full(cells, np.nan, np.float32)
         self.surface = np.zeros((cells, 3), np.float32)
         self.accepted = np.zeros((self.rings, self.sectors), bool)
+        self._known: np.ndarray | None = None  # the surface that the map of the road was made of
+        self._road = np.empty((0, 0), np.float32)
 
     def remove(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
         """Level (N, 3+) float32 sensor-frame points, find the road in them, and label it."""
-        points, frame = np.ascontiguousarray(points, np.float32), self._room(len(points))
+        points, frame, self._known = np.ascontiguousarray(points, np.float32), self._room(len(points)), None
         m, frame.returns, frame.near = kernels.find_ground(
             points, T_level_sensor.astype(np.float32), self._settings, self._near_m, self._histogram, self._fours,
             self._count, self.height_m, self.surface.reshape(self.rings, self.sectors, 3), self.accepted, frame.x,
@@ -80,17 +92,30 @@ class Ground:
 
     def remove_known(
         self, sensor: np.ndarray, source: np.ndarray, T_level_sensor: np.ndarray, surface: np.ndarray
-    ) -> Levelled:
-        """The same with a road that is known already: for the few points that are left of a frame, planar (3, n or
-        more) float32, with their index ``source`` (n,) in it."""
-        self.surface[:] = surface
-        frame = self._room(len(source))
+    ) -> Obstacles:
+        """The same with a road that is known already, a ``surface`` as ``remove`` leaves it, which is not changed any
+        more: for the few points that are left of a frame, planar (3, n or more) float32, with their index ``source``
+        (n,) in it."""
+        if self._known is not surface:
+            self._known, self.surface[:] = surface, surface
+            self._road = self._road_map()
+        found = Obstacles(*self._room_for_rest(len(source)))
         m = kernels.find_known(
-            sensor, source, T_level_sensor.astype(np.float32), self._settings, self.surface, frame.x, frame.y, frame.z,
-            frame.cell, frame.ground, frame.points, frame.rest,
+            sensor, source, T_level_sensor.astype(np.float32), self._settings, self._road, found.ground, found.points,
+            found.rest,
         )  # fmt: skip
-        frame.rest = frame.rest[:m]
-        return frame
+        found.rest = found.rest[:m]
+        return found
+
+    def _road_map(self) -> np.ndarray:
+        """(side, side) float32: heights of the surface as ``find_known`` takes them; that in the middle of a square
+        stands for all of it."""
+        reach_m, cell_m = self._config.range_max_m, float(kernels.ROAD_CELL_M)
+        half = int(np.ceil(reach_m / cell_m)) + 1
+        middle = ((np.arange(-half, half) + 0.5) * cell_m).astype(np.float32)
+        x, y = (axis.ravel() for axis in np.meshgrid(middle, middle))
+        height = np.where(np.hypot(x, y) <= reach_m, self.road_height(x, y), np.float32(np.nan))
+        return height.reshape(2 * half, 2 * half)
 
     def look(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
         """Level a sample of a frame, and note in which directions there is something; what is road is not asked."""
@@ -104,8 +129,9 @@ class Ground:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the polar grid."""
-        return sum(a.nbytes for a in (self._histogram, self._count, self.height_m, self.surface, self.accepted))
+        """Bytes of the polar grid, and of the map of a road that is known."""
+        arrays = self._histogram, self._count, self.height_m, self.surface, self.accepted, self._road
+        return sum(array.nbytes for array in arrays)
 
     @property
     def sectors_seen(self) -> int:
@@ -121,12 +147,15 @@ class Ground:
     def _room(self, n: int) -> Levelled:
         """Buffers for n points."""
         take = self.buffers.take
+        x, y, z = (take(name, n, np.float32) for name in "xyz")
+        return Levelled(*self._room_for_rest(n), x=x, y=y, z=z, cell=take("cell", n, np.int16))
+
+    def _room_for_rest(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Buffers for what of n points is no ground: ground, rest and points of ``Obstacles``."""
+        take = self.buffers.take
         room = n + -n % LINE_FLOATS + LINE_FLOATS  # every row begins at a cache line, and has room for a vector more
-        return Levelled(
-            x=take("x", n, np.float32), y=take("y", n, np.float32), z=take("z", n, np.float32),
-            cell=take("cell", n, np.int16), ground=take("ground", n, np.bool_),
-            rest=take("rest", n, np.int32), points=take("rest_points", 4 * room, np.float32).reshape(4, room),
-        )  # fmt: skip
+        points = take("rest_points", 4 * room, np.float32).reshape(4, room)
+        return take("ground", n, np.bool_), take("rest", n, np.int32), points
 
 
 def _settings(config: GroundConfig, sectors: int, first_place: float) -> np.record:

@@ -13,6 +13,7 @@ from services.infra_lidar.kernels_surface import flat_surface, sloped_surface
 from services.infra_lidar.vectors import (
     LANES,
     fma,
+    gather,
     gather_listed,
     lane_count,
     lane_sum,
@@ -35,6 +36,7 @@ FAR_M, FAR_M2 = np.float32(1e4), np.float32(1e8)
 NOT_A_NUMBER = np.float32(np.nan)
 FINE_M = 0.64  # up to so far from the calibrated road heights are counted in fine bins ...
 CHUNK = 16  # bins, the number of which is a multiple of it
+ROAD_CELL_M = np.float32(0.5)
 FINE_PER_M, COARSE_PER_M = 200.0, 50.0  # ... of 5 mm, farther off in bins of 2 cm
 
 
@@ -65,15 +67,39 @@ def find_ground(  # type: ignore[no-untyped-def]
     else:
         sloped_surface(fit, s, surface, accepted)
     planes = surface.reshape(number.shape[0], 3)
-    return label_ground(x, y, z, cell, planes, s, None, ground, others, rest), returns, near
+    return label_ground(x, y, z, cell, planes, s, ground, others, rest), returns, near
 
 
 @kernel
-def find_known(sensor, source, T, s, surface, x, y, z, cell, ground, others, rest):  # type: ignore[no-untyped-def]
-    """The same with a road that is known already, surface (cells, 3), for returns that are planar already, sensor
-    (3, n or more) float32, and not counted; their index in the whole frame, source (n,), goes to rest. Returns M."""
-    level_planar(sensor, len(source), T, s, x, y, z, cell)
-    return label_ground(x, y, z, cell, surface, s, source, ground, others, rest)
+def find_known(sensor, source, T, s, road, ground, others, rest):  # type: ignore[no-untyped-def]
+    """The same with a road that is known already, for n returns that are planar already, sensor (3, n or more) float32,
+    and not counted; their index in the whole frame, source (n,), goes to rest. Returns M.
+
+    road (side, side) float32: its height on squares of ``ROAD_CELL_M`` about the origin, NaN outside the limits. That
+    is one look-up a point, where the polar grid takes three, and an angle.
+    """
+    a, b, c, n, m, flat = sensor[0], sensor[1], sensor[2], len(source), 0, road.reshape(road.size)
+    to_x, to_y, to_z, to_height = others[0], others[1], others[2], others[3]
+    low, above, lowest = splat(-s.below_m), splat(s.above_m), splat(-s.below_m if s.keep_below else -FAR_M)
+    z_min, z_max, side, per_m = splat(s.height_min_m), splat(s.height_max_m), len(road), splat(1 / ROAD_CELL_M)
+    half, last = splat(np.float32(side // 2)), splat(np.int32(side - 1))
+    for i in range(0, n, LANES):
+        x, y, z = _turned(load(a, i), load(b, i), load(c, i), T)
+        row, column = whole(fma(y, per_m, half)), whole(fma(x, per_m, half))
+        row, column = smaller(larger(row, 0), last), smaller(larger(column, 0), last)
+        height = z - gather(flat, row * np.int32(side) + column)
+        there = (z >= z_min) & (z <= z_max) & (lanes() < np.int32(n - i))
+        store(ground, i, there & (height >= low) & (height <= above))
+        other = there & ((height > above) | (height < lowest))
+        found = lane_count(other)
+        if found > 0:
+            store_chosen(to_x, m, x, other)
+            store_chosen(to_y, m, y, other)
+            store_chosen(to_z, m, z, other)
+            store_chosen(to_height, m, height, other)
+            store_chosen(rest, m, load(source, i), other)
+            m += found
+    return m
 
 
 def bin_place(height_m: float) -> float:
@@ -126,19 +152,6 @@ def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-un
         for i in range(m):
             counts[np.uint32(at[i])] += np.uint16(1)
     return lane_sum(returns), lane_sum(near)
-
-
-@inner
-def level_planar(sensor, n, T, s, x, y, z, cell):  # type: ignore[no-untyped-def]
-    """The same for n returns that are planar already, sensor (3, n or more) float32, and not counted."""
-    a, b, c, grid = sensor[0], sensor[1], sensor[2], _polar_grid(s)
-    for i in range(0, n, LANES):
-        lx, ly, lz = _turned(load(a, i), load(b, i), load(c, i), T)
-        k, inside = _polar_cell(lx, ly, lz, grid)
-        store(x, i, lx)
-        store(y, i, ly)
-        store(z, i, lz)
-        store(cell, i, select(inside & (lanes() < np.int32(n - i)), k, CLIPPED))
 
 
 @inline
@@ -230,12 +243,12 @@ def _bin_of(histogram, fours, c, rank):  # type: ignore[no-untyped-def]
 
 
 @inner
-def label_ground(x, y, z, cell, surface, s, source, ground, points, rest):  # type: ignore[no-untyped-def]
+def label_ground(x, y, z, cell, surface, s, ground, points, rest):  # type: ignore[no-untyped-def]
     """Label ground and gather the rest.
 
     surface (cells, 3) float32: z of the road at (x, y) is s0 + s1 x + s2 y. Writes ground (N,) bool, and for the
-    M other points inside the limits x, y, z and height above the road to points (4, N) float32 and their ``source``
-    (N,), their index where that is None, to rest; returns M. Points below the band are no obstacle (mirror images in
+    M other points inside the limits x, y, z and height above the road to points (4, N) float32 and their index to rest;
+    returns M. Points below the band are no obstacle (mirror images in
     puddles, ditches) unless ``s.keep_below``. Outputs have room for a vector more, and so have x, y, z and cell.
     """
     n, m = ground.shape[0], 0
@@ -255,7 +268,7 @@ def label_ground(x, y, z, cell, surface, s, source, ground, points, rest):  # ty
             store_chosen(to_y, m, load(y, i), other)
             store_chosen(to_z, m, load(z, i), other)
             store_chosen(to_height, m, height, other)
-            store_chosen(rest, m, lanes() + np.int32(i) if source is None else load(source, i), other)
+            store_chosen(rest, m, lanes() + np.int32(i), other)
             m += found
     return m
 

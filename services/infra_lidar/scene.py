@@ -14,7 +14,7 @@ from services.infra_lidar.calibration import Calibration
 from services.infra_lidar.calibration_keeper import CalibrationKeeper
 from services.infra_lidar.clustering import ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.ground import Ground, Levelled
+from services.infra_lidar.ground import Ground, Levelled, Obstacles
 from services.infra_lidar.kernels_ground import beams_seen
 from services.infra_lidar.range_image import Returns, count_of, points_of, sample_of
 from services.infra_lidar.structure import StructureMap
@@ -31,7 +31,7 @@ class Parted:
     not known.
     """
 
-    frame: Levelled
+    frame: Obstacles
     seen: Seen
     known: Known | None
     is_ground: np.ndarray
@@ -143,12 +143,12 @@ class Scene:
         if self._keeper.due(stamp_ns):  # now and then what is known is looked at, too
             sample = sample_of(returns, WATCH_EVERY)
             self._look_after(stamp_ns, sample, self.ground.look(sample, calibration.T_level_sensor))
-        frame = self.ground.remove_known(
+        found = self.ground.remove_known(
             sifted.fresh, sifted.source, calibration.T_level_sensor, self.background.model.surface
         )
         seen = Seen(len(returns), sifted.returns, sifted.near, self._beam_count, self._sector_count)
         known = Known(returns, self.background.model, sifted.source.copy())
-        return Parted(frame, seen, known, frame.ground.copy())
+        return Parted(found, seen, known, found.ground.copy())
 
     def _look_after(self, stamp_ns: int, sample: np.ndarray, frame: Levelled) -> None:
         """Count the beams of a sample and the directions of a frame or of the sample, and watch for a nudge."""

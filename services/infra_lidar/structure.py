@@ -12,7 +12,7 @@ import numpy as np
 from services.infra_lidar.cells import CellGrid
 from services.infra_lidar.clustering import ClusterPoints
 from services.infra_lidar.config import ClusteringConfig
-from services.infra_lidar.ground import Levelled
+from services.infra_lidar.ground import Obstacles
 from services.infra_lidar.kernels_cells import lie_within
 
 MIN_SHARE = 0.6
@@ -31,11 +31,11 @@ class StructureMap:
         side = self._grid.side
         return not drawn.size or (drawn.shape == (2, side, -(-side // 32)) and drawn.dtype == np.int32)
 
-    def draw(self, frame: Levelled, road_user: np.ndarray) -> np.ndarray:
+    def draw(self, frame: Obstacles, road_user: np.ndarray) -> np.ndarray:
         """The map of what stands in a whole frame, road_user (N,) bool left out, widened by a cell."""
         fixed, grid = ~road_user[frame.rest], self._grid
-        at = frame.rest[fixed]
-        row, column = grid.cells(frame.x[at], frame.y[at])
+        x, y = frame.points[:2, : len(fixed)][:, fixed]
+        row, column = grid.cells(x, y)
         layer = (frame.above_m[fixed] >= self._body_m).astype(np.int64)
         drawn = np.zeros((2, grid.side, grid.side + -grid.side % 32), bool)
         drawn[layer, row, column] = True

@@ -26,7 +26,7 @@ from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
 from services.infra_lidar.features import compute_features
-from services.infra_lidar.ground import Levelled
+from services.infra_lidar.ground import Obstacles
 from services.infra_lidar.kernels_ground import beams_seen
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.shipped import lay_out_own
@@ -144,10 +144,7 @@ def compile_clusters(config: InfraLidarConfig) -> None:
     """Clusters, of a people."""
     xyz = two_people().planar
     n = xyz.shape[1]
-    frame = Levelled(
-        x=xyz[0], y=xyz[1], z=xyz[2], cell=np.zeros(n, np.int16), ground=np.zeros(n, bool),
-        rest=np.arange(n, dtype=np.int32), points=np.concatenate((xyz, xyz[2:])),
-    )  # fmt: skip
+    frame = Obstacles(np.zeros(n, bool), np.arange(n, dtype=np.int32), np.concatenate((xyz, xyz[2:])))
     Clustering(config.clustering, config.ground.range_max_m).cluster(frame)
 
 

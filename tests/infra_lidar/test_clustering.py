@@ -9,7 +9,7 @@ import pytest
 
 from services.infra_lidar.clustering import Clustering
 from services.infra_lidar.config import ARTICLE_CLUSTERING, ARTICLE_GROUND, ClusteringConfig, GroundConfig
-from services.infra_lidar.ground import Ground, Levelled
+from services.infra_lidar.ground import Ground, Obstacles
 
 LARGE = ("bus", "truck")
 
@@ -24,10 +24,7 @@ def _cluster(*parts, config=None):
     xyz = np.vstack(parts).astype(np.float32)
     owner = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
     n = len(xyz)
-    frame = Levelled(
-        x=xyz[:, 0].copy(), y=xyz[:, 1].copy(), z=xyz[:, 2].copy(), cell=np.zeros(n, np.int16),
-        ground=np.zeros(n, bool), rest=np.arange(n, dtype=np.int32), points=np.vstack([xyz.T, xyz.T[2:]]),
-    )  # fmt: skip
+    frame = Obstacles(np.zeros(n, bool), np.arange(n, dtype=np.int32), np.vstack([xyz.T, xyz.T[2:]]))
     return Clustering(config or ClusteringConfig(), 100.0).cluster(frame), owner
 
 
@@ -218,10 +215,7 @@ def test_clusters_outlive_the_next_frame():
     for x in (8, 20):
         xyz = _solid(x, 0, 0.5, 0.5, 0.2, 1.7).astype(np.float32)
         n = len(xyz)
-        frame = Levelled(
-            x=xyz[:, 0].copy(), y=xyz[:, 1].copy(), z=xyz[:, 2].copy(), cell=np.zeros(n, np.int16),
-            ground=np.zeros(n, bool), rest=np.arange(n, dtype=np.int32), points=np.vstack([xyz.T, xyz.T[2:]]),
-        )  # fmt: skip
+        frame = Obstacles(np.zeros(n, bool), np.arange(n, dtype=np.int32), np.vstack([xyz.T, xyz.T[2:]]))
         found = clustering.cluster(frame)
         frames.append((found, found.points.copy(), found.offsets.copy(), found.box.copy()))
     for found, points, offsets, box in frames:

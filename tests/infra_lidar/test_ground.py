@@ -129,3 +129,39 @@ def test_points_need_not_lie_row_by_row():
     expected = Ground(GroundConfig()).remove(cloud, np.eye(4)).z.copy()
     for same in (whole[:, :3], np.asfortranarray(cloud), cloud.astype(np.float64)):
         np.testing.assert_array_equal(Ground(GroundConfig()).remove(same, np.eye(4)).z, expected)
+
+
+@pytest.mark.parametrize("slope", [(0.0, 0.0), (0.04, -0.02)])
+def test_a_known_road_is_told_as_when_it_was_found(slope):
+    config = GroundConfig(height_max_m=6.0, range_max_m=40.0)
+    ground, rng = Ground(config), np.random.default_rng(2)
+    ground.remove(_road(*slope), LEVEL)
+    surface = ground.surface.copy()
+    x, y = rng.uniform(-50.0, 50.0, (2, 5000)).astype(np.float32)
+    road_m = ground.road_height(x, y)
+    above_m = rng.uniform(-1.0, 8.0, len(x)).astype(np.float32)
+    source = np.arange(len(x), dtype=np.int32) * 3
+
+    room = np.zeros((3, len(x) + 64), np.float32)
+    room[:, : len(x)] = x, y, road_m + above_m
+    found = ground.remove_known(room, source, LEVEL, surface)
+    inside = (np.hypot(x, y) <= config.range_max_m) & (road_m + above_m <= config.height_max_m)
+    on_road = inside & (above_m >= -config.below_m) & (above_m <= config.above_m)
+    off_m = 0.05 + 0.4 * np.hypot(*slope)  # across half a square, and where the planes of two cells meet
+    near_a_limit = np.abs(np.hypot(x, y) - config.range_max_m) < 0.4  # half a diagonal of a square
+    for limit_m in (-config.below_m, config.above_m):
+        near_a_limit |= np.abs(above_m - limit_m) < off_m
+    assert near_a_limit.mean() < 0.1
+    assert np.array_equal(found.ground[~near_a_limit], on_road[~near_a_limit])
+
+    expected = inside & (above_m > config.above_m)
+    rest = np.isin(source, found.rest)
+    assert np.array_equal(rest[~near_a_limit], expected[~near_a_limit])
+    assert np.array_equal(found.points[:3, : len(found.rest)], room[:, : len(x)][:, rest])
+    assert (
+        np.percentile(np.abs(found.above_m - above_m[rest]), 98) < off_m
+    )  # the others lie where planes are a step apart
+
+    ground.remove(_road(0.0, 0.1), LEVEL)  # the road of another frame: what was known is not what is asked next
+    again = ground.remove_known(room, source, LEVEL, surface)
+    assert np.array_equal(again.rest, np.array(source[rest]))

@@ -6,7 +6,7 @@ import pytest
 from services.infra_lidar.cells import CellGrid
 from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import ClusteringConfig
-from services.infra_lidar.ground import Levelled
+from services.infra_lidar.ground import Obstacles
 from services.infra_lidar.structure import MIN_SHARE, StructureMap
 from services.infra_lidar.vectors import LANES
 
@@ -17,9 +17,7 @@ def _frame(*parts):
     xyz = np.vstack(parts).astype(np.float32)
     n = len(xyz)
     x, y, z = (np.ascontiguousarray(xyz[:, k]) for k in range(3))
-    return Levelled(
-        x, y, z, np.zeros(n, np.int16), np.zeros(n, bool), np.arange(n, dtype=np.int32), np.stack([x, y, z, z])
-    )
+    return Obstacles(np.zeros(n, bool), np.arange(n, dtype=np.int32), np.stack([x, y, z, z]))
 
 
 def _solid(x, y, length, width, low, high, n, seed=0):
@@ -40,7 +38,7 @@ PARKED = _solid(10, -10, 4, 1.8, 0.2, 1.5, 800)
 
 def _drawn():
     frame = _frame(HEDGE, CANOPY, PARKED)
-    road_user = np.zeros(len(frame.x), bool)
+    road_user = np.zeros(len(frame.rest), bool)
     road_user[-len(PARKED) :] = True
     return StructureMap(CONFIG, 100.0).draw(frame, road_user)
 
