@@ -13,6 +13,7 @@ import numpy as np
 from services.infra_lidar.jit import inner, kernel
 from services.infra_lidar.kernels_merge import LARGE_GAP_M, LARGE_LENGTH_M, LARGE_TOP_M, SMALL_TOP_M, extent, interval
 from services.infra_lidar.ordering import rising, rising_in
+from services.infra_lidar.vectors import LANES
 
 CROSS_M, CROSS_SLOPE = 0.25, 0.006  # a gap, seen from the sensor, is at most two beams wide and 25 cm
 WIDTH_M = 2.9  # a bus is 2.55 m wide; the rest is noise and a direction that is a little off
@@ -23,25 +24,26 @@ TURNS = np.array([(np.cos(a), np.sin(a)) for a in (0.0, 0.04, -0.04, 0.08, -0.08
 
 
 @inner
-def _grow(box, turned, members, strays, reach, c, s, strict, floats, ints, taken):  # type: ignore[no-untyped-def]
+def _grow(box, turned, members, strays, reach, c, s, strict, spans, away, ints, taken):  # type: ignore[no-untyped-def]
     """Mark the strays that the members grow by along (c, s); returns how many.
 
     reach (S, 2): distance of each stray and how wide a gap two beams explain there, seen at a right angle; the sensor
-    is above (0, 0). ``strict``: only those on the outline, and none where they are few. floats (5, S) and ints (3, S)
-    int64 are scratch.
+    is above (0, 0). ``strict``: only those on the outline, and none where they are few. spans (4, S), away (S,) float32
+    with room for a vector more, and ints (2, S) int64 are scratch.
     """
     u0, u1, v0, v1 = extent(box, turned, members, c, s)
     taken[:] = False
     if u1 - u0 > LARGE_LENGTH_M or v1 - v0 > WIDTH_M:
         return 0
-    spans, away, possible, m = floats[:4], floats[4], ints[0], 0
+    possible, order, m = ints[0], ints[1], 0
     for i in range(len(strays)):
         a, b, d, e = interval(box, turned, strays[i], c, s)
         spans[0, i], spans[1, i], spans[2, i], spans[3, i] = a, b, d, e
         possible[m], away[m] = i, abs((a + b) - (u0 + u1))
         m += max(u1, b) - min(u0, a) <= LARGE_LENGTH_M and max(v1, e) - min(v0, d) <= WIDTH_M
+    rising_in(away, m, order)
     number = 0
-    for j in rising_in(away[:m], ints[1], ints[2]):
+    for j in order[:m]:
         i = possible[j]
         a, b, d, e = spans[0, i], spans[1, i], spans[2, i], spans[3, i]
         gap, across = max(a - u1, u0 - b), 0.5 * abs(d + e)
@@ -93,7 +95,8 @@ def _near(box, core, loose, size, group, min_points):  # type: ignore[no-untyped
 def _best(box, turned, members, strays):  # type: ignore[no-untyped-def]
     """(S,) bool: the strays that the members take in the direction in which they take most."""
     taken, best = np.zeros(len(strays), np.bool_), np.zeros(len(strays), np.bool_)
-    reach, floats, ints = np.empty((len(strays), 2)), np.empty((5, len(strays))), np.empty((3, len(strays)), np.int64)
+    reach, spans = np.empty((len(strays), 2)), np.empty((4, len(strays)))
+    away, ints = np.empty(len(strays) + LANES, np.float32), np.empty((2, len(strays)), np.int64)
     for i in range(len(strays)):
         reach[i, 0] = max(np.hypot(box[strays[i], 0], box[strays[i], 1]), 1e-3)
         reach[i, 1] = CROSS_M + CROSS_SLOPE * reach[i, 0]
@@ -109,7 +112,7 @@ def _best(box, turned, members, strays):  # type: ignore[no-untyped-def]
                 c, s = np.float64(turned[members[i // 2], 0]), np.float64(turned[members[i // 2], 1])
                 if i % 2:
                     c, s = -s, c
-            number = _grow(box, turned, members, strays, reach, c, s, strict == 1, floats, ints, taken)
+            number = _grow(box, turned, members, strays, reach, c, s, strict == 1, spans, away, ints, taken)
             if number > most:
                 most, best_c, best_s = number, c, s
                 for k in range(len(taken)):  # spelled out: whole-array assignments take the compiler seconds
@@ -135,11 +138,13 @@ def adopt_strays(box, turned, counts, min_points, group):  # type: ignore[no-unt
         loose[number] = k
         number += size[group[k]] < min_points and box[k, 7] + box[k, 5] <= LARGE_TOP_M
     loose = loose[:number]
-    for g in rising(-size.astype(np.float64)):
-        if size[g] < min_points:
-            break
-        if SMALL_TOP_M < top[g] <= LARGE_TOP_M:
-            _adopt(box, turned, g, _near(box, g, loose, size, group, min_points), group)
+    tall, first, number = np.empty(total, np.int64), np.empty(total), 0
+    for g in range(total):
+        tall[number], first[number] = g, -size[g]
+        number += size[g] >= min_points and SMALL_TOP_M < top[g] <= LARGE_TOP_M
+    for i in rising(first[:number]):
+        g = tall[i]
+        _adopt(box, turned, g, _near(box, g, loose, size, group, min_points), group)
 
 
 @kernel

@@ -2,10 +2,12 @@
 
 import numba
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.infra_lidar.ordering import places_of, rising, sort_rising
+from services.infra_lidar.ordering import COUNTED, places_of, rising, sort_rising
+from services.infra_lidar.vectors import LANES
 
 NUMBERS = st.lists(st.floats(-1e6, 1e6, width=32), max_size=120)
 
@@ -18,6 +20,12 @@ def _places(flags):
 @given(NUMBERS)
 def test_rising_is_numpys_stable_argsort(numbers):
     keys = np.array(numbers, np.float64)
+    assert np.array_equal(rising(keys), np.argsort(keys, kind="stable"))
+
+
+@pytest.mark.parametrize("n", [0, 1, LANES, COUNTED, COUNTED + 1, 3000])
+def test_many_with_equals_among_them_rise_as_well(n):
+    keys = np.random.default_rng(n).integers(0, 200, n) / 8.0
     assert np.array_equal(rising(keys), np.argsort(keys, kind="stable"))
 
 
