@@ -118,22 +118,25 @@ def _count_own(
 
 def learned_scenes() -> None:
     """Objects with a cluster of their own once the scene is learned, and on the same frames without that."""
-    shares = {"scene learned": (Counter[str](), Counter[str]()), "whole frames": (Counter[str](), Counter[str]())}
+    names = "scene learned", "  from ranges", "whole frames"
+    shares = {name: (Counter[str](), Counter[str]()) for name in names}
     known = []
     for seed in LEARNED_SEEDS:
-        learning = InfraLidarPipeline(InfraLidarConfig())
+        of_points, of_ranges = InfraLidarPipeline(InfraLidarConfig()), InfraLidarPipeline(InfraLidarConfig())
         whole = InfraLidarPipeline(InfraLidarConfig(background=BackgroundConfig(enabled=False)))
         for k, frame in enumerate(turns(seed, 60, LEARNED_FRAMES, 1800)):
-            result = learning.process(k * 100_000_000 + 1, frame.points)
+            stamp_ns = k * 100_000_000 + 1
+            results = of_points.process(stamp_ns, frame.points), of_ranges.process(stamp_ns, frame.image)
             if k < 10:
-                whole.process(k * 100_000_000 + 1, frame.points)  # it calibrates
-            if not result.background.any() or k % 10:
+                whole.process(stamp_ns, frame.points)  # it calibrates
+            if not all(result.parted.sifted for result in results) or k % 10:
                 continue
-            known.append(result.background.mean())
-            plain = whole.process(k * 100_000_000 + 1, frame.points)
+            known.append(results[0].background.mean())
+            plain = whole.process(stamp_ns, frame.points).cluster_id
+            clusters = results[0].cluster_id, results[1].cluster_id[frame.place], plain
             inside = np.hypot(frame.points[:, 0], frame.points[:, 1]) < NEAR_M
-            for each, counted in zip((result, plain), shares.values(), strict=True):
-                _count_own(frame, inside, each.cluster_id, *counted)
+            for cluster_id, counted in zip(clusters, shares.values(), strict=True):
+                _count_own(frame, inside, cluster_id, *counted)
     for name, (good, total) in shares.items():
         each = ", ".join(f"{k} {good[k] / total[k]:.1%} of {total[k]}" for k in sorted(total))
         print(f"  {name:14} own cluster: {each}")
@@ -205,7 +208,7 @@ def _count_boxes(frame: LabelledFrame, counts: dict[tuple[str, str], Counter[str
     levelled = ground.remove(frame.points, T)
     found = Clustering(ClusteringConfig(), GroundConfig().range_max_m).cluster(levelled)
     road_z_m = ground.road_height(found.box[:, 0], found.box[:, 1])
-    features = compute_features(found.points, found.offsets, road_z_m, classifier.feature_names)
+    features = compute_features(found.points, found.offsets, road_z_m, classifier.feature_names, counts=found.counts)
     called, _, _ = classifier.classify(features)
     for k, label in enumerate(frame.labels):
         inside = frame.inside(k)

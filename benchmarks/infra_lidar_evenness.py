@@ -16,6 +16,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from collections.abc import Callable
+from operator import attrgetter
 from time import thread_time
 
 import numpy as np
@@ -24,26 +25,29 @@ from benchmarks.article_both import START_NS, ArticleByKernels, train
 from benchmarks.roadside_frames import Frame, as_arrived, turns
 from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
 from services.infra_lidar.pipeline import InfraLidarPipeline
-from services.infra_lidar.warm_up import warm_up
+from services.infra_lidar.range_image import Returns
+from services.infra_lidar.warm_up import compile_images, warm_up
 
 FRAMES, FIRST = 630, 230
 
 
-def _design(background: BackgroundConfig) -> Callable[[int, Frame], object]:
+def _design(background: BackgroundConfig, form: Callable[[Frame], Returns]) -> Callable[[int, Frame], object]:
     pipeline = InfraLidarPipeline(InfraLidarConfig(background=background))
-    return lambda k, frame: pipeline.process(START_NS + k * 100_000_000, frame.points)
+    return lambda k, frame: pipeline.process(START_NS + k * 100_000_000, form(frame))
 
 
 def main() -> None:
     _, forest = train()
     warm_up(InfraLidarConfig(), lambda _: None)
+    compile_images()
     gc.freeze()  # as the service does: what is there by now is not looked through for garbage again
     article = ArticleByKernels(forest)
     for objects in (40, 160):
         ways: dict[str, Callable[[int, Frame], object]] = {
             "article's settings": lambda _, frame: article.process(frame),
-            "own design, whole frames": _design(BackgroundConfig(enabled=False)),
-            "own design, scene learned": _design(BackgroundConfig()),
+            "own design, whole frames": _design(BackgroundConfig(enabled=False), attrgetter("points")),
+            "own design, scene learned": _design(BackgroundConfig(), attrgetter("points")),
+            "  from ranges": _design(BackgroundConfig(), attrgetter("image")),
         }
         article.begin()
         spent: dict[str, list[float]] = {name: [] for name in ways}

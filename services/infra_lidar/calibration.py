@@ -136,16 +136,19 @@ def _refit(near: np.ndarray, normal: np.ndarray, offset: float, band_m: float) -
 
 def fit_level_surface(local: np.ndarray, scale_m: float) -> tuple[np.ndarray, np.ndarray]:
     """One reweighted fit z = c0 + c1 x + c2 y about the current plane, Tukey's weight of half width ``scale_m``."""
-    x, y, z = local.T
-    design = np.stack([np.ones_like(x), x, y], axis=1)
-    coefficients = np.zeros(design.shape[1])
+    x, y, z = np.ascontiguousarray(local.T)
+    products = np.stack(
+        [np.ones_like(x), x, y, x * x, x * y, y * y, z, x * z, y * z]
+    )  # their sums are all that is asked
+    design, nearness = products[:3], 1.0 / (1.0 + (products[3] + products[5]) / 8.0**2)
+    coefficients = np.zeros(3)
     for _ in range(4):
-        residual = z - design @ coefficients
-        weight = np.clip(1.0 - (residual / scale_m) ** 2, 0.0, None) ** 2 / (1.0 + (x * x + y * y) / 8.0**2)
-        weighted = design * weight[:, None]
-        normal_matrix = weighted.T @ design + 1e-9 * np.eye(design.shape[1])
-        coefficients = np.linalg.solve(normal_matrix, weighted.T @ z)
-    return coefficients, np.abs(z - design @ coefficients) < scale_m
+        residual = (z - coefficients @ design) / scale_m
+        weight = np.maximum(1.0 - residual * residual, 0.0)
+        one, sx, sy, xx, xy, yy, *right = products @ (weight * weight * nearness)
+        normal_matrix = np.array([[one, sx, sy], [sx, xx, xy], [sy, xy, yy]]) + 1e-9 * np.eye(3)
+        coefficients = np.linalg.solve(normal_matrix, right)
+    return coefficients, np.abs(z - coefficients @ design) < scale_m
 
 
 def _judge(

@@ -49,7 +49,12 @@ class Classifier:
         self._typical = self.forest.typical(self._column) if self._waits else 0.0
 
     def recognise(
-        self, points: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, buffers: Buffers | None = None
+        self,
+        points: np.ndarray,
+        offsets: np.ndarray,
+        ground_z_m: np.ndarray,
+        buffers: Buffers | None = None,
+        counts: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Features of K clusters (see ``compute_features``) and their classes (see ``classify``).
 
@@ -59,7 +64,7 @@ class Classifier:
         Returns:
             features (K, F) float32, labels (K,), confidence (K,), probabilities (K, C).
         """
-        x = compute_features(points, offsets, ground_z_m, self.feature_names, buffers, spacing=not self._waits)
+        x = compute_features(points, offsets, ground_z_m, self.feature_names, buffers, not self._waits, counts)
         if not self._waits:
             return x, *self.classify(x)
         x[:, self._column] = self._typical

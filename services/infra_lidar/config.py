@@ -77,7 +77,7 @@ class ClusteringConfig(Section, frozen=True, kw_only=True):
     connectivity: Literal[4, 8] = 4
     min_points: Annotated[int, Meta(ge=1)] = 10
     max_points: Annotated[int, Meta(ge=1)] = 30_000
-    shape_points: Annotated[int, Meta(ge=0)] = 256  # of a larger piece so many tell box and class; 0 = all
+    shape_points: Annotated[int, Meta(ge=0)] = 1024  # of a larger piece so many tell box and class; 0 = all
     max_height_m: Positive = 5.0
     min_top_m: float = 0.4  # a cluster that does not reach this far above the road is no road user
     max_diagonal_m: Positive = 20.0

@@ -60,9 +60,9 @@ _LARGE_M = np.float32(1e9)
 
 
 def cluster_features(
-    planar: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, hull: bool, buffers: Buffers
+    planar: np.ndarray, offsets: np.ndarray, counts: np.ndarray, ground_z_m: np.ndarray, hull: bool, buffers: Buffers
 ) -> np.ndarray:
-    """(K, len(ALL_NAMES)) float32 of the points ``planar`` (3, M) float32.
+    """(K, len(ALL_NAMES)) float32 of the points ``planar`` (3, M) float32, which stand for ``counts`` (K,) ones.
 
     ``nn_dist_std`` (see ``feature_spacing.py``) and the last three columns are filled elsewhere (1 for the hull ratio,
     else 0); ``hull_fill`` is 0 without ``hull``.
@@ -76,7 +76,7 @@ def cluster_features(
         raise ValueError("offsets: every cluster needs at least one point")
     size, take = (largest // LANES + 2) * LANES, buffers.take
     scratch, bins = take("cluster", 6 * size, np.float32).reshape(6, size), take("bins", size, np.uint8)
-    _all_clusters(planar, offsets, ground_z_m, scratch, bins, hull, table)
+    _all_clusters(planar, offsets, counts, ground_z_m, scratch, bins, hull, table)
     return table
 
 
@@ -92,14 +92,14 @@ def _fewest_and_most(offsets: np.ndarray) -> tuple[int, int]:
 
 @kernel
 def _all_clusters(
-    planar: np.ndarray, offsets: np.ndarray, ground: np.ndarray, scratch: np.ndarray, bins: np.ndarray, hull: bool,
-    out: np.ndarray,
+    planar: np.ndarray, offsets: np.ndarray, counts: np.ndarray, ground: np.ndarray, scratch: np.ndarray,
+    bins: np.ndarray, hull: bool, out: np.ndarray,
 ) -> None:  # fmt: skip
     for k in range(len(offsets) - 1):
         first, last = offsets[k], offsets[k + 1]
         mx, my = centred(planar[0, first:last], scratch[0]), centred(planar[1, first:last], scratch[1])
         base = centred(planar[2, first:last], scratch[2]) - ground[k]
-        _one_cluster(scratch, bins, last - first, mx, my, base, hull, out[k])
+        _one_cluster(scratch, bins, last - first, counts[k], mx, my, base, hull, out[k])
 
 
 @inner
@@ -127,19 +127,21 @@ def centred(values: np.ndarray, out: np.ndarray) -> float:
 
 @inner
 def _one_cluster(
-    scratch: np.ndarray, bins: np.ndarray, n: int, mx: float, my: float, base: float, hull: bool, row: np.ndarray
-) -> None:
-    """scratch (6, n or more): x, y, z about the mean, and room for three more; ``base`` is the mean's height."""
+    scratch: np.ndarray, bins: np.ndarray, n: int, count: int, mx: float, my: float, base: float, hull: bool,
+    row: np.ndarray,
+) -> None:  # fmt: skip
+    """scratch (6, n or more): x, y, z about the mean, and room for three more; ``count`` points the n stand for;
+    ``base`` is the mean's height."""
     z, u, v = scratch[2], scratch[3], scratch[4]
     cxx, cyy, czz, cxy, cxz, cyz, z_low, z_high = _moments(scratch[0], scratch[1], z, n)
     cos, sin, ratio = _axes(cxx, cxy, cyy)
     length, width = _turned(scratch[0], scratch[1], n, cos, sin, u, v)
     tall = z_high - z_low
     spread, area = math.sqrt(length * length + width * width), length * width
-    row[0], row[1], row[2], row[3] = n, spread, area, tall
+    row[0], row[1], row[2], row[3] = count, spread, area, tall
     row[4] = tall / spread if spread > _EPS else 0.0
     solid = area * math.sqrt(tall)
-    row[5] = n / solid if solid > 1e-6 else 0.0
+    row[5] = count / solid if solid > 1e-6 else 0.0
     row[8], row[9] = math.sqrt(czz), ratio
     _eigen_columns(cxx, cyy, czz, cxy, cxz, cyz, row)
     _rank_columns(z, n, z_low, tall, base, scratch[5], bins, row)
@@ -149,7 +151,7 @@ def _one_cluster(
     if hull and area > 1e-6:
         row[33] = hull_fill(u, v, n, length, width)
     row[34] = math.hypot(mx, my)
-    row[35] = math.log(n) + 2.0 * math.log(max(row[34], 1.0))
+    row[35] = math.log(count) + 2.0 * math.log(max(row[34], 1.0))
     row[_WIDTH - 1] = 1.0
 
 

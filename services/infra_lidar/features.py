@@ -65,7 +65,7 @@ _PIECE_NAMES = ("n_components", "largest_component_ratio")
 
 def compute_features(
     points: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, names: tuple[str, ...],
-    buffers: Buffers | None = None, spacing: bool = True,
+    buffers: Buffers | None = None, spacing: bool = True, counts: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
     """The features ``names`` of K clusters.
 
@@ -77,6 +77,7 @@ def compute_features(
         names: which features, in which order (see ``FEATURE_SETS``).
         buffers: those of the sensor, so that nothing is allocated for each frame.
         spacing: without it ``nn_dist_std`` is left at 0, if ``may_wait``.
+        counts: (K,) how many points each cluster has, if these are only some of them.
 
     Returns:
         (K, F) float32, finite.
@@ -90,7 +91,8 @@ def compute_features(
     wanted = _wanted(names)
     planar = np.ascontiguousarray(points.T, np.float32)
     buffers = buffers or Buffers()
-    table = cluster_features(planar, offsets, ground, wanted.hull, buffers)
+    counts = np.diff(offsets) if counts is None else np.ascontiguousarray(counts, np.int64)
+    table = cluster_features(planar, offsets, counts, ground, wanted.hull, buffers)
     if wanted.neighbours and (spacing or wanted.pieces):
         every = np.arange(len(ground))
         deviation_m, nearest_m = cluster_spacing(planar, offsets, every, wanted.pieces, buffers)

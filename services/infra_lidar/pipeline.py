@@ -104,7 +104,7 @@ class InfraLidarPipeline:
     def _classify(self, parted: Parted, found: ClusterPoints) -> ClusterSet:
         road_z_m = self.scene.ground.road_height(found.box[:, 0], found.box[:, 1])
         features, index, confidence, probabilities = self.classifier.recognise(
-            found.points, found.offsets, road_z_m, self._buffers
+            found.points, found.offsets, road_z_m, self._buffers, found.counts
         )
         index[self.scene.structural(parted, found, road_z_m)] = BACKGROUND
         return ClusterSet(

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from common.sim.lidar128 import Scan, scan
@@ -50,7 +51,8 @@ def scene_frames(
     """Frames of one scene, calibrated on the first of them; ``resolution`` is columns a turn and ring step."""
     scenario = roadside(seed, objects, kind)
     keeper = CalibrationKeeper(config.calibration, None)
-    ground, clustering = Ground(config.ground), Clustering(config.clustering, config.ground.range_max_m)
+    of_all_points = msgspec.structs.replace(config.clustering, shape_points=0)  # a forest knows clusters as they are
+    ground, clustering = Ground(config.ground), Clustering(of_all_points, config.ground.range_max_m)
     for t_s in times_s:
         view = _thinned(scan(scenario, t_s, resolution[0]), resolution[1])
         frame = ground.remove(view.xyz, keeper.update(view.xyz).T_level_sensor)

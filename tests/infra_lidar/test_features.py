@@ -97,6 +97,18 @@ def test_columns_come_in_the_order_asked_for() -> None:
     assert got[0, 0] == pytest.approx(np.ptp(points[:, 2]))
 
 
+def test_some_points_stand_for_as_many_as_there_are() -> None:
+    whole = cluster(1, 900, (4.4, 1.8, 1.5), (20.0, -7.0))
+    of_count = [ALL.index(name) for name in ("num_points", "density", "points_by_range")]
+    known = compute_features(whole, np.array([0, 900]), np.zeros(1), ALL)[0]
+    some = compute_features(whole[::3], np.array([0, 300]), np.zeros(1), ALL, counts=np.array([900]))[0]
+    np.testing.assert_allclose(some[of_count], known[of_count], rtol=0.05)
+    alone = compute_features(whole[::3], np.array([0, 300]), np.zeros(1), ALL)[0]
+    assert (np.abs(alone[of_count] - known[of_count]) > 0.05 * np.abs(known[of_count])).all()
+    rest = np.delete(np.arange(len(ALL)), of_count)
+    np.testing.assert_array_equal(some[rest], alone[rest])
+
+
 @pytest.mark.parametrize("points", [1, 2, 3, 6, 7, 11, 16, 17, 33])
 def test_tiny_and_flat_clusters_are_finite(points: int) -> None:
     same = np.full((points, 3), 7.0, np.float32)

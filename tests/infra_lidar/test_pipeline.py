@@ -50,6 +50,15 @@ def test_results_of_earlier_frames_stay_as_they_were(scene_frame):
     assert np.array_equal(first.cluster_id, ids)
 
 
+def test_a_cluster_told_by_some_of_its_points_counts_all_of_them(scene_frame):
+    config = InfraLidarConfig(clustering=ClusteringConfig(shape_points=50))
+    pipeline = InfraLidarPipeline(config)
+    clusters = pipeline.process(1, scene_frame("open", 1).points).clusters
+    counted = clusters.features[:, pipeline.classifier.feature_names.index("num_points")]
+    assert np.array_equal(counted, clusters.counts)
+    assert clusters.counts.max() > 500
+
+
 def test_the_same_frames_give_the_same_result(scene_frame):
     def run():
         pipeline = InfraLidarPipeline(InfraLidarConfig())
