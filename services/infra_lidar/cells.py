@@ -14,7 +14,7 @@ class CellGrid:
     along the ray at range r; g = 0: plain squares of c.
 
     per_m: float32, 1 / c. growth_per_m: float32, 1 / g, or 0. ``kernels_cells`` takes the logarithm as the first terms
-    of a series, so that far off a cell is a little other than f says (a hundredth at r = 20 g).
+    of a series, so that far off a cell is a little other than f says (two thousandths at r = 20 g).
     """
 
     def __init__(self, config: ClusteringConfig, range_max_m: float) -> None:

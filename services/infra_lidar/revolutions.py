@@ -65,7 +65,11 @@ class Rows:
 
     def __init__(self, columns: dict[str, tuple[type, tuple[int, ...]]], room: int = 0) -> None:
         """columns: name, dtype and shape of a row; room: rows that are expected."""
-        self._columns, self._usual = columns, room
+        self._columns = columns
+        self._begin(room)
+
+    def _begin(self, usual: int) -> None:
+        self._usual = usual
         self._filled = self._needed = self._room = 0
         self._arrays = self._new(0)
 
@@ -86,7 +90,7 @@ class Rows:
     def take(self) -> dict[str, np.ndarray]:
         """All of them; the next turn begins."""
         taken = {name: array[: self._filled] for name, array in self._arrays.items()}
-        self.__init__(self._columns, _and_an_eighth(self._needed))  # type: ignore[misc]
+        self._begin(_and_an_eighth(self._needed))
         return taken
 
     def _new(self, rows: int) -> dict[str, np.ndarray]:
