@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from services.infra_lidar.jit import kernel
-from services.infra_lidar.revolutions import PacketDecoder, Revolution, TurnCollector, TurnPoints
+from services.infra_lidar.range_image import RangeImage
+from services.infra_lidar.revolutions import ImageRows, PacketDecoder, Revolution, TurnCollector, joined
+from services.infra_lidar.vectors import LANES
 
 
 class MetadataError(ValueError):
@@ -76,31 +77,28 @@ class OusterFormat:
             raise MetadataError(f"packet format {self.profile_name}; known: {', '.join(_PROFILES)}")
         if not self.beams == len(altitude) == len(azimuth):
             raise MetadataError(f"{self.beams} pixels a column, {len(altitude)} and {len(azimuth)} beam angles")
-        to_sensor[:3, 3] /= 1000.0
+        turned, aside = to_sensor[2, :2], to_sensor[:2, 3]
+        if np.abs([*turned, *aside]).max() > 1e-6:
+            raise MetadataError("lidar_to_sensor_transform: expected a turn about z and a shift along it")
         self.profile = _PROFILES[self.profile_name]
         p = self.profile
         self.column_bytes = p.column_header + self.beams * p.pixel + p.column_footer
         self.packet_bytes = p.packet_header + self.columns_per_packet * self.column_bytes + p.packet_footer
-        self.direction, self.origin_m = _rays(self.columns_per_frame, altitude, azimuth, beam_origin_m, to_sensor)
+        encoder = 2.0 * np.pi * (1.0 - np.arange(self.columns_per_frame) / self.columns_per_frame)
+        self.heading_rad = encoder + np.arctan2(to_sensor[1, 0], to_sensor[0, 0])
+        self.rays = _rays(altitude, azimuth, beam_origin_m, to_sensor[2, 3] / 1000.0)
 
 
-def _rays(
-    columns: int, altitude: np.ndarray, azimuth: np.ndarray, beam_origin_m: float, to_sensor: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """direction, origin (W, B, 3) float32: a point is direction * range + origin, in the sensor frame."""
-    encoder = 2.0 * np.pi * (1.0 - np.arange(columns) / columns)[:, None]
-    heading = encoder + azimuth
-    direction = np.stack(
-        [np.cos(heading) * np.cos(altitude), np.sin(heading) * np.cos(altitude),
-         np.broadcast_to(np.sin(altitude), heading.shape)], axis=-1,
-    )  # fmt: skip
-    arm = np.stack([np.cos(encoder), np.sin(encoder), np.zeros_like(encoder)], axis=-1) * beam_origin_m
-    origin = arm - direction * beam_origin_m  # ranges are measured from the origin of the lidar, along the arm
-    rotation = to_sensor[:3, :3]
-    return (
-        (direction @ rotation.T).astype(np.float32),
-        (origin @ rotation.T + to_sensor[:3, 3]).astype(np.float32),
-    )
+def _rays(altitude: np.ndarray, azimuth: np.ndarray, beam_origin_m: float, height_m: float) -> np.ndarray:
+    """(7, B) float32 as in ``RangeImage``, with beams that do not exist until a vector is full. A range is measured
+    from the lidar's origin, along the arm to the beam's and along the beam."""
+    flat, none, rings = np.cos(altitude), np.zeros(len(altitude)), np.arange(len(altitude))[::-1]
+    direction = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(altitude)])
+    origin = np.stack([none + beam_origin_m, none, none + height_m]) - direction * beam_origin_m
+    rays = np.concatenate(
+        [direction, origin, rings[None]]
+    )  # rings count from the lowest beam, Ouster's from the highest
+    return np.pad(rays, ((0, 0), (0, -len(altitude) % LANES))).astype(np.float32)
 
 
 class OusterParser:
@@ -143,18 +141,36 @@ class OusterParser:
 
 def decoder(layout: OusterFormat) -> PacketDecoder:
     """For the packets of a sensor with this layout."""
-    decode, per_packet = partial(_decode_packets, layout), layout.columns_per_packet * layout.beams
-    return PacketDecoder(partial(TurnPoints, decode, per_packet), layout.metadata)
+    return PacketDecoder(partial(TurnImage, layout), layout.metadata)
 
 
-def decode_nothing() -> None:
-    """Compile or load what decodes, before the first packet comes."""
-    rays, points = np.zeros((1, 1, 3), np.float32), np.empty((1, 5), np.float32)
-    _project(np.zeros((1, 1), np.uint32), np.zeros((1, 1), np.uint16), np.zeros(1, np.uint16), rays, rays, points)
+class TurnImage:
+    """The range image of the turn that is coming: a row for each valid column."""
+
+    def __init__(self, layout: OusterFormat, packets: int = 0) -> None:
+        self._layout = layout
+        self._rows = ImageRows(layout.rays.shape[1], packets * layout.columns_per_packet)
+
+    def add(self, packets: list[bytes]) -> None:
+        """The next packets."""
+        layout = self._layout
+        measurement, range_mm, reflectivity = _columns(layout, joined(packets))
+        n, beams = range_mm.shape
+        room = self._rows.room(n)
+        room["range_m"][:n], room["intensity"][:n], room["bank"][:n] = 0.0, 0, 0
+        room["range_m"][:n, :beams] = range_mm * np.float32(0.001)
+        room["intensity"][:n, :beams] = np.minimum(reflectivity, 255)
+        heading_rad = layout.heading_rad[measurement]
+        room["cos"][:n], room["sin"][:n] = np.cos(heading_rad), np.sin(heading_rad)
+        self._rows.fill(n)
+
+    def take(self) -> RangeImage:
+        """The image; the next turn begins."""
+        return self._rows.take(self._layout.rays)
 
 
-def _decode_packets(layout: OusterFormat, raw: np.ndarray, points: np.ndarray) -> int:
-    """(P, B) uint8 packets into points, those of the valid columns; returns of range 0 are left out."""
+def _columns(layout: OusterFormat, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(P, B) uint8 packets to the valid columns: which of the turn (C,), ranges in mm and reflectivities (C, beams)."""
     p = layout.profile
     body = raw[:, p.packet_header : p.packet_header + layout.columns_per_packet * layout.column_bytes]
     columns = body.reshape(-1, layout.column_bytes)
@@ -164,28 +180,11 @@ def _decode_packets(layout: OusterFormat, raw: np.ndarray, points: np.ndarray) -
     else:
         valid = (columns[:, 10] & 1).astype(bool)
     valid &= measurement < layout.columns_per_frame
-    columns, measurement = columns[valid], measurement[valid]
+    columns = columns[valid]
     pixels = columns[:, p.column_header : p.column_header + layout.beams * p.pixel].reshape(-1, layout.beams, p.pixel)
     width = np.dtype(p.range_type).itemsize
     steps = pixels[..., :width].copy().view(p.range_type)[..., 0].astype(np.uint32)
     range_mm = (steps & np.uint32(p.range_mask)) * np.uint32(p.range_step_mm)
     at = p.reflectivity_at
     size = np.dtype(p.reflectivity_type).itemsize
-    reflectivity = pixels[..., at : at + size].copy().view(p.reflectivity_type)[..., 0].astype(np.uint16)
-    return int(_project(range_mm, reflectivity, measurement, layout.direction, layout.origin_m, points))
-
-
-@kernel
-def _project(range_mm, reflectivity, measurement, direction, origin_m, points):  # type: ignore[no-untyped-def]
-    """Ranges (C, B) of columns ``measurement`` (C,) to points (M, 5); returns M."""
-    m = 0
-    for c in range(range_mm.shape[0]):
-        column = measurement[c]
-        for b in range(range_mm.shape[1]):
-            range_m = np.float32(range_mm[c, b]) * np.float32(0.001)
-            for axis in range(3):
-                points[m, axis] = direction[column, b, axis] * range_m + origin_m[column, b, axis]
-            points[m, 3] = min(reflectivity[c, b], 255)
-            points[m, 4] = range_mm.shape[1] - 1 - b  # rings count from the lowest beam, Ouster's from the highest
-            m += range_mm[c, b] > 0
-    return m
+    return measurement[valid], range_mm, pixels[..., at : at + size].copy().view(p.reflectivity_type)[..., 0]

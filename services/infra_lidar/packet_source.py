@@ -111,7 +111,7 @@ def _decode(packets: Iterator[tuple[int, bytes]], parser: PacketParser, report: 
 
 
 def _recorded(one: Revolution) -> Recorded:
-    return Recorded(one.returns, one.stamp_ns / 1e9, one.quality, one.packets, one.metadata)
+    return Recorded(one.image, one.stamp_ns / 1e9, one.quality, one.packets, one.metadata)
 
 
 def _bag_packets(path: Path) -> Iterator[tuple[int, bytes]]:
@@ -159,7 +159,7 @@ def live_packets(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
                 report.state("disconnected", f"no packets on UDP port {port}; check the sensor's power, cable, address")
                 continue
             one = revolution
-            yield one.stamp_ns, Frame(one.returns, one.stamp_ns, one.quality, one.packets, one.metadata)
+            yield one.stamp_ns, Frame(one.image, one.stamp_ns, one.quality, one.packets, one.metadata)
     finally:
         receiver.close()
 

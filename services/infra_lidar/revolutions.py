@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from services.infra_lidar.blindness import FrameQuality
-from services.infra_lidar.range_image import Returns, points_of
+from services.infra_lidar.range_image import RangeImage
 
 FULL_TURN_SHARE = 0.97
 TOGETHER = 64  # packets, a tenth of a turn
@@ -21,12 +21,12 @@ MOST_PACKETS = 4096  # of a turn; a slow one with two returns has 2400. A head t
 
 @dataclass(frozen=True)
 class Revolution:
-    """returns: of one turn. stamp_ns: UTC ns of its last packet.
+    """image: one turn. stamp_ns: UTC ns of its last packet.
 
     packets: what it was decoded from; metadata: what one needs to decode them again (Ouster).
     """
 
-    returns: Returns
+    image: RangeImage
     stamp_ns: int
     quality: FrameQuality
     packets: list[bytes] = field(default_factory=list)
@@ -34,25 +34,25 @@ class Revolution:
 
     @property
     def points(self) -> np.ndarray:
-        """(N, 5) float32 x y z (m, sensor frame) intensity ring."""
-        return points_of(self.returns)
+        """(R W, 5) float32 x y z (m, sensor frame) intensity ring, zeros where there is no return."""
+        return self.image.points
 
 
 class TurnToCome(Protocol):
-    """Returns of the turn that is coming."""
+    """The range image of the turn that is coming."""
 
     def add(self, packets: list[bytes]) -> None:
         """The next packets, all of one size."""
 
-    def take(self) -> Returns:
-        """All of them; the next turn begins."""
+    def take(self) -> RangeImage:
+        """The image; the next turn begins."""
 
 
 @dataclass(frozen=True)
 class PacketDecoder:
-    """How packets of a sensor become returns.
+    """How packets of a sensor become range images.
 
-    begin: where those of a sensor are collected, with room for so many packets. metadata: what one needs to decode
+    begin: where they are collected, with room for so many packets. metadata: what one needs to decode
     them again (Ouster).
     """
 
@@ -60,12 +60,12 @@ class PacketDecoder:
     metadata: str = ""
 
 
-class Rows:
-    """Arrays that grow together while a turn comes; how long the last turn was, the next one has room for at once."""
+class ImageRows:
+    """Rows of a range image that grow while a turn comes; for as many as the last turn had, the next one has room."""
 
-    def __init__(self, columns: dict[str, tuple[type, tuple[int, ...]]], room: int = 0) -> None:
-        """columns: name, dtype and shape of a row; room: rows that are expected."""
-        self._columns = columns
+    def __init__(self, width: int, room: int = 0) -> None:
+        """width: ranges of a row; room: rows that are expected."""
+        self._width = width
         self._begin(room)
 
     def _begin(self, usual: int) -> None:
@@ -74,7 +74,7 @@ class Rows:
         self._arrays = self._new(0)
 
     def room(self, rows: int) -> dict[str, np.ndarray]:
-        """Where the next rows go, so many at the most."""
+        """Where the next rows go, so many at the most: the arrays of a ``RangeImage`` by name."""
         self._needed = self._filled + rows
         if self._needed > self._room:
             self._room = max(_and_an_eighth(self._needed), self._usual)
@@ -87,35 +87,18 @@ class Rows:
         """So many have been written."""
         self._filled += rows
 
-    def take(self) -> dict[str, np.ndarray]:
-        """All of them; the next turn begins."""
-        taken = {name: array[: self._filled] for name, array in self._arrays.items()}
+    def take(self, beams: np.ndarray) -> RangeImage:
+        """The image of all of them; the next turn begins."""
+        rows = {name: array[: self._filled] for name, array in self._arrays.items()}
         self._begin(_and_an_eighth(self._needed))
-        return taken
+        return RangeImage(**rows, beams=beams)
 
     def _new(self, rows: int) -> dict[str, np.ndarray]:
-        return {name: np.empty((rows, *shape), dtype) for name, (dtype, shape) in self._columns.items()}
+        def array(dtype: type, *width: int) -> np.ndarray:
+            return np.empty((rows, *width), dtype)
 
-
-class TurnPoints:
-    """The points of the turn that is coming.
-
-    decode: (P, B) uint8, packets of one turn, into (P * per_packet, 5) float32, x y z (m, sensor frame) intensity ring;
-    returns how many points they hold.
-    """
-
-    def __init__(self, decode: Callable[[np.ndarray, np.ndarray], int], per_packet: int, packets: int = 0) -> None:
-        self._decode, self._per_packet = decode, per_packet
-        self._rows = Rows({"points": (np.float32, (5,))}, packets * per_packet)
-
-    def add(self, packets: list[bytes]) -> None:
-        """The next packets, all of one size."""
-        room = self._rows.room(len(packets) * self._per_packet)
-        self._rows.fill(self._decode(joined(packets), room["points"]))
-
-    def take(self) -> np.ndarray:
-        """(N, 5) float32: all of them; the next turn begins."""
-        return self._rows.take()["points"]
+        wide = {"range_m": array(np.float32, self._width), "intensity": array(np.uint8, self._width)}
+        return wide | {"cos": array(np.float32), "sin": array(np.float32), "bank": array(np.uint8)}
 
 
 def joined(packets: list[bytes]) -> np.ndarray:
@@ -127,8 +110,8 @@ def _and_an_eighth(room: int) -> int:
     return room + room // 8
 
 
-def decode_turn(packets: list[bytes], decoder: PacketDecoder) -> Returns:
-    """The returns of a whole turn, the same as if its packets came one by one."""
+def decode_turn(packets: list[bytes], decoder: PacketDecoder) -> RangeImage:
+    """The image of a whole turn, the same as if its packets came one by one."""
     turn = decoder.begin(len(packets))
     for first in range(0, len(packets), TOGETHER):
         turn.add(packets[first : first + TOGETHER])

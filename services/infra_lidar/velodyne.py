@@ -16,7 +16,7 @@ import numpy as np
 from services.infra_lidar.jit import kernel
 from services.infra_lidar.ordering import sort_rising
 from services.infra_lidar.range_image import RangeImage
-from services.infra_lidar.revolutions import PacketDecoder, Revolution, Rows, TurnCollector, joined
+from services.infra_lidar.revolutions import ImageRows, PacketDecoder, Revolution, TurnCollector, joined
 
 PACKET_BYTES, BLOCKS = 1206, 12
 PRODUCT_VLS128 = 0xA1
@@ -97,10 +97,7 @@ class TurnImage:
 
     def __init__(self, packets: int = 0) -> None:
         self._beams = _beams(0.0)
-        self._rows = Rows(
-            {"range_m": (np.float32, (32,)), "intensity": (np.uint8, (32,)), "cos": (np.float32, ()),
-             "sin": (np.float32, ()), "bank": (np.uint8, ())}, packets * BLOCKS,
-        )  # fmt: skip
+        self._rows = ImageRows(32, packets * BLOCKS)
 
     def add(self, packets: list[bytes]) -> None:
         """The next packets."""
@@ -112,17 +109,15 @@ class TurnImage:
 
     def take(self) -> RangeImage:
         """The image; the next turn begins."""
-        return RangeImage(**self._rows.take(), beams=self._beams)
+        return self._rows.take(self._beams)
 
 
 DECODER = PacketDecoder(TurnImage)
 
 
-def decode_nothing() -> RangeImage:
-    """Compile or load what decodes, before the first packet comes; an image without rows."""
-    turn = TurnImage()
-    turn.add([bytes(PACKET_BYTES)])
-    return turn.take()
+def decode_nothing() -> None:
+    """Compile or load what decodes, before the first packet comes."""
+    TurnImage().add([bytes(PACKET_BYTES)])
 
 
 @lru_cache(maxsize=64)

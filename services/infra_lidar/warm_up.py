@@ -20,7 +20,7 @@ import numpy as np
 from numba.core.registry import cpu_target
 
 from common.stopwatch import Stopwatch
-from services.infra_lidar import ouster, velodyne
+from services.infra_lidar import velodyne
 from services.infra_lidar.background import MAX_RINGS, Background, BackgroundModel, locate
 from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.clustering import Clustering, ClusterPoints
@@ -29,6 +29,7 @@ from services.infra_lidar.features import compute_features
 from services.infra_lidar.ground import Obstacles
 from services.infra_lidar.kernels_ground import beams_seen
 from services.infra_lidar.pipeline import InfraLidarPipeline
+from services.infra_lidar.range_image import RangeImage
 from services.infra_lidar.shipped import lay_out_own
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
 from services.infra_lidar.vectors import LANES
@@ -168,8 +169,12 @@ def compile_packets(config: InfraLidarConfig) -> None:
 
 
 def compile_images() -> None:
-    """What decodes the packets of a VLS-128, and what is done with range images."""
-    image, columns = velodyne.decode_nothing(), 90
+    """What is done with range images."""
+    none, columns = np.empty(0, np.float32), 90
+    image = RangeImage(
+        np.empty((0, LANES), np.float32), np.empty((0, LANES), np.uint8), none, none, np.empty(0, np.uint8),
+        np.zeros((7, LANES), np.float32),
+    )  # fmt: skip
     cell, squared = np.empty((2, LANES), np.int32)
     locate(image, columns, MAX_RINGS, cell, squared.view(np.float32))
     nothing = BackgroundModel(
@@ -177,6 +182,12 @@ def compile_images() -> None:
     )
     Background(BackgroundConfig(), stored=nothing).recognise(image)
     assert len(image.points) == 0
+
+
+def compile_velodyne() -> None:
+    """The same, and what decodes the packets of a VLS-128."""
+    velodyne.decode_nothing()
+    compile_images()
 
 
 def two_people() -> ClusterPoints:
@@ -189,7 +200,7 @@ def two_people() -> ClusterPoints:
     return ClusterPoints(planar, offsets, np.arange(n, dtype=np.int32), offsets, box)
 
 
-PACKET_KERNELS = {"velodyne": compile_images, "ouster": ouster.decode_nothing}
+PACKET_KERNELS = {"velodyne": compile_velodyne, "ouster": compile_images}
 # What can be compiled by itself, and how long that takes, roughly.
 PARTS: dict[str, Callable[[InfraLidarConfig], None]] = {
     "clusters": compile_clusters,

@@ -59,10 +59,10 @@ def test_other_packets_are_rejected(packet):
 
 def test_no_returns_and_unknown_banks_give_no_points():
     (turn,) = turns_of(Vls128Parser(), steps=0)
-    assert turn.returns.returns == 0
+    assert turn.image.returns == 0
     assert not turn.points.any()
     (turn,) = turns_of(Vls128Parser(), flags=(0xEEFF, 0x1234, 0xCCFF, 0x4321))
-    assert turn.returns.returns == len(turn.points) == 600 * 192
+    assert turn.image.returns == len(turn.points) == 600 * 192
 
 
 @settings(max_examples=50, deadline=None)
@@ -83,14 +83,39 @@ def test_an_ouster_turn_in_numbers(profile):
     done = [parser.feed(ouster_packet(layout, 7, c), c) for c in range(0, 64, 16)]
     turn = parser.feed(ouster_packet(layout, 8, 0), 99)
     assert not any(done)
-    assert turn.points.shape == (64 * 4, 5)
+    points = turn.image.sample(1)
+    assert points.shape == (64 * 4, 5)
     assert turn.quality.complete
     assert turn.stamp_ns == 48
-    ahead = turn.points[:4]  # column 0 looks along x
+    ahead = points[:4]  # column 0 looks along x
     assert np.allclose(ahead[1], [8.0, 0.0, 0.0, ahead[1, 3], 2.0], atol=1e-3)
     assert np.allclose(ahead[0, :3], [8 * np.cos(np.radians(20)), 0, 8 * np.sin(np.radians(20))], atol=1e-3)
-    quarter = turn.points[4 * 16 + 1]  # the head turns clockwise: after a quarter it looks to the right
+    quarter = points[4 * 16 + 1]  # the head turns clockwise: after a quarter it looks to the right
     assert np.allclose(quarter[:3], [0.0, -8.0, 0.0], atol=1e-3)
+
+
+def test_an_ousters_beams_start_from_an_arm_and_its_frame_is_turned():
+    """A range counts from the origin of the lidar: along the arm that turns with the head, then along the beam."""
+    half_turn = [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 36.0, 0, 0, 0, 1]
+    text = metadata(
+        lidar_origin_to_beam_origin_mm=15.0, lidar_to_sensor_transform=half_turn,
+        beam_azimuth_angles=[3.0, 1.0, -1.0, -3.0],
+    )  # fmt: skip
+    layout = OusterFormat(text)
+    parser = OusterParser(layout)
+    parser.feed(ouster_packet(layout, 7, 16), 0)
+    points = parser.flush().image.sample(1)
+    for k, point in enumerate(points):
+        column, beam = 16 + k // 4, k % 4
+        encoder = 2 * np.pi * (1 - column / 64)
+        azimuth, altitude = -np.radians([3.0, 1.0, -1.0, -3.0][beam]), np.radians([20.0, 0.0, -10.0, -20.0][beam])
+        heading, along = encoder + azimuth, 8.0 - 0.015
+        xyz = along * np.array(
+            [np.cos(heading) * np.cos(altitude), np.sin(heading) * np.cos(altitude), np.sin(altitude)]
+        )
+        xyz += 0.015 * np.array([np.cos(encoder), np.sin(encoder), 0.0])
+        np.testing.assert_allclose(point[:3], [-xyz[0], -xyz[1], xyz[2] + 0.036], atol=1e-4)
+        assert point[4] == 3 - beam
 
 
 def test_ouster_losses_invalid_columns_and_strangers():
@@ -102,14 +127,23 @@ def test_ouster_losses_invalid_columns_and_strangers():
     turn = parser.feed(ouster_packet(layout, 2, 0), 0)
     assert turn.quality.packets_lost == 2
     assert not turn.quality.complete
-    assert len(turn.points) == 16 * 4
+    assert turn.image.returns == 16 * 4
     assert parser.rejected == 1
-    assert len(parser.flush().points) == 16 * 4
+    assert parser.flush().image.returns == 16 * 4
     assert parser.flush() is None
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "{}", metadata("SMOKE"), metadata(beams=5), metadata(beam_altitude_angles=None)]
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        metadata("SMOKE"),
+        metadata(beams=5),
+        metadata(beam_altitude_angles=None),
+        metadata(lidar_to_sensor_transform=[0, 0, 1, 0, 0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 0, 1]),
+    ],
 )
 def test_metadata_that_lack_something_are_refused(text):
     with pytest.raises(MetadataError):
@@ -228,11 +262,12 @@ def test_the_recorded_ouster_packets_decode_to_the_recorded_points(recording):
     for datagram in read_pcap((folder / "OS-2-128.pcap").read_bytes()):
         assert parser.feed(datagram.payload, datagram.stamp_ns) is None  # one revolution, closed by flush
     turn = parser.flush()
+    points = turn.image.sample(1)
     with np.load(folder / "os2_128_0.npz") as file:
         mask = file["range_mm"] > 0
         beam, column = np.nonzero(mask)
         order = np.lexsort((beam, column))
-        assert np.abs(turn.points[:, :3] - file["xyz"][mask][order]).max() < 1e-3
-        assert np.array_equal(turn.points[:, 3], np.minimum(file["reflectivity"][mask][order], 255))
-        assert np.array_equal(turn.points[:, 4], 127 - beam[order])
+        assert np.abs(points[:, :3] - file["xyz"][mask][order]).max() < 1e-3
+        assert np.array_equal(points[:, 3], np.minimum(file["reflectivity"][mask][order], 255))
+        assert np.array_equal(points[:, 4], 127 - beam[order])
     assert turn.quality.complete

@@ -156,7 +156,7 @@ def test_a_frame_without_returns_is_no_clear_road():
     pipeline = InfraLidarPipeline(InfraLidarConfig())
     (turn,) = turns_of(Vls128Parser(), steps=0)
     for k in range(40):
-        result = pipeline.process(k * 10**8, turn.returns)
+        result = pipeline.process(k * 10**8, turn.image)
     assert result.points_in == 0
     assert result.state == "degraded"
     assert "only 0 returns" in result.reason

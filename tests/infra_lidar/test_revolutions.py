@@ -20,10 +20,10 @@ def _walls(turns):
 def test_a_turn_that_is_decoded_while_it_comes_is_the_same_as_at_once():
     parser = Vls128Parser()
     turns = [turn for k, packet in enumerate(_walls(3)) if (turn := parser.feed(packet, k)) is not None]
-    kept = [turn.returns.range_m.copy() for turn in turns]
+    kept = [turn.image.range_m.copy() for turn in turns]
     assert len(turns) == 2
     for turn, range_m in zip(turns, kept, strict=True):
-        np.testing.assert_array_equal(turn.returns.range_m, range_m)  # what comes later goes elsewhere
+        np.testing.assert_array_equal(turn.image.range_m, range_m)  # what comes later goes elsewhere
         np.testing.assert_array_equal(turn.points, decode_turn(turn.packets, DECODER).points)
     assert not np.array_equal(kept[0], kept[1])
 
@@ -68,9 +68,8 @@ def test_the_room_for_a_turn_follows_the_turns():
 def test_the_first_packet_waits_for_no_compiler():
     velodyne.decode_nothing()
     turns_of(Vls128Parser())
-    ouster.decode_nothing()
     for profile in ("LEGACY", "RNG19_RFL8_SIG16_NIR16", "RNG15_RFL8_NIR8"):
         layout = OusterFormat(metadata(profile))
         decode_turn([ouster_packet(layout, 7, 0)], ouster.decoder(layout))
-    for kernel in (velodyne._decode, velodyne._head_rate_deg_per_s, ouster._project):
+    for kernel in (velodyne._decode, velodyne._head_rate_deg_per_s):
         assert len(kernel.signatures) == 1
