@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import gc
 import os
+from collections import defaultdict
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -35,8 +37,8 @@ from services.infra_lidar.warm_up import compile_images, warm_up
 FRAMES, ROUNDS = 24, 5
 
 
-def compare(objects: int, model: RandomForestClassifier, forest: Forest) -> float:
-    """(a) Both designs at the article's settings: milliseconds, ratio, agreement. Returns the plain one's."""
+def compare(objects: int, model: RandomForestClassifier, forest: Forest) -> None:
+    """(a) Both designs at the article's settings: milliseconds, ratio, agreement."""
     frames = frames_of(7, objects, FRAMES)
     plain, ours, whole = TimedPlain(model), ArticleByKernels(forest), ArticleByKernels(forest, all_features=True)
     for frame in frames:  # compiles, and buffers grow to their size
@@ -62,7 +64,6 @@ def compare(objects: int, model: RandomForestClassifier, forest: Forest) -> floa
         _print_ratio(name, plain_ms[name], our_ms[name])
     for name in ("classify", "total"):
         _print_ratio(name, plain_ms[name], whole_ms[name], ", the spacing of all clusters computed")
-    return float(np.median(plain_ms["total"]))
 
 
 def _print_ratio(name: str, plain_ms: list[float], our_ms: list[float], note: str = "") -> None:
@@ -103,34 +104,67 @@ def _nearest(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.column_stack([apart.argmin(axis=1), apart.min(axis=1)])
 
 
-def default_design(objects: int, plain_ms: float) -> None:
+def default_design(objects: int, model: RandomForestClassifier) -> None:
     """(b) Our own design, first on whole frames, then with the scene learned: in the 20 seconds after these frames."""
-    frames = frames_of(7, objects, FRAMES)
+    frames, plain = frames_of(7, objects, FRAMES), TimedPlain(model)
     calibration, by_points, by_ranges = learned_scene(objects)
     whole, learned = InfraLidarConfig(background=BackgroundConfig(enabled=False)), InfraLidarConfig()
-    for name, config, background, form in (
-        ("whole frames", whole, None, attrgetter("points")),
-        ("scene learned", learned, by_points, attrgetter("points")),
-        ("  from ranges", learned, by_ranges, attrgetter("image")),
-    ):
-        spent: list[float] = []
-        stages: list[dict[str, float]] = []
-        for _ in range(ROUNDS):
-            pipeline, total_ms = InfraLidarPipeline(config, calibration, background), []
-            for k, frame in enumerate(frames):
-                returns = form(as_arrived(frame))
-                t = thread_time()
-                result = pipeline.process(START_NS + k * 100_000_000, returns)
-                total_ms.append((thread_time() - t) * 1e3)
-                stages.append(result.stage_ms)
-            spent.append(float(np.median(total_ms)))
-        own, known = _own_clusters(frames, InfraLidarPipeline(config, calibration, background), form)
-        median_ms = float(np.median(spent))
+    ways = {
+        "whole frames": Way(whole, calibration, None, attrgetter("points")),
+        "scene learned": Way(learned, calibration, by_points, attrgetter("points")),
+        "  from ranges": Way(learned, calibration, by_ranges, attrgetter("image")),
+    }
+    plain_ms, spent = [], {name: [way.median_ms(frames)] for name, way in ways.items()}
+    for _ in range(ROUNDS):
+        plain.begin()
+        for frame in frames:
+            plain.process(as_arrived(frame))
+        plain_ms.append(plain.timed.median(""))
+        for name, way in ways.items():
+            spent[name].append(way.median_ms(frames))
+    for name, way in ways.items():
+        between = np.convolve(spent[name], [0.5, 0.5], "valid")  # before and after the plain version's turn
+        ratios = np.array(plain_ms) / between
+        own, known = way.own_clusters(frames)
         print(
-            f"  {name:14} {median_ms:7.2f} ms ({plain_ms / median_ms:4.0f} x plain), rounds {min(spent):.2f} to "
-            f"{max(spent):.2f}; objects with a cluster of their own {own:.1%}; known {known:.0%}; "
-            + " ".join(f"{stage} {np.median([s[stage] for s in stages]):.2f}" for stage in stages[0])
+            f"  {name:14} {np.median(between):7.2f} ms   {np.median(ratios):6.1f} x ({ratios.min():.1f} to "
+            f"{ratios.max():.1f}); objects with a cluster of their own {own:.1%}; known {known:.0%}; "
+            + " ".join(f"{stage} {np.median(ms):.2f}" for stage, ms in way.stage_ms.items())
         )
+
+
+@dataclass
+class Way:
+    """Our pipeline with what it knows from the beginning, and the form in which it gets a frame."""
+
+    config: InfraLidarConfig
+    calibration: Calibration
+    background: BackgroundModel | None
+    form: Callable[[Frame], Returns]
+    stage_ms: defaultdict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+
+    def median_ms(self, frames: list[Frame]) -> float:
+        """Of a frame, processor time, in a pass over all of them."""
+        pipeline, spent = InfraLidarPipeline(self.config, self.calibration, self.background), []
+        for k, frame in enumerate(frames):
+            returns = self.form(as_arrived(frame))
+            t = thread_time()
+            result = pipeline.process(START_NS + k * 100_000_000, returns)
+            spent.append((thread_time() - t) * 1e3)
+            for stage, ms in result.stage_ms.items():
+                self.stage_ms[stage].append(ms)
+        return float(np.median(spent))
+
+    def own_clusters(self, frames: list[Frame]) -> tuple[float, float]:
+        """Share of the objects with a cluster of their own, and of the returns that are known; means over frames."""
+        pipeline, own, known = InfraLidarPipeline(self.config, self.calibration, self.background), [], []
+        for k, frame in enumerate(frames):
+            returns = self.form(frame)
+            result = pipeline.process(START_NS + k * 100_000_000, returns)
+            of_point = result.cluster_id if returns is frame.points else result.cluster_id[frame.place]
+            own.append(own_cluster_share(frame, of_point))
+            known.append(result.background.sum() / result.points_in)
+        return float(np.mean(own)), float(np.mean(known))
 
 
 def learned_scene(objects: int) -> tuple[Calibration, BackgroundModel, BackgroundModel]:
@@ -145,20 +179,6 @@ def learned_scene(objects: int) -> tuple[Calibration, BackgroundModel, Backgroun
         if models[0] is not None and models[1] is not None and calibration is not None:
             return calibration, models[0], models[1]
     raise RuntimeError("nothing was learned in 30 seconds")
-
-
-def _own_clusters(
-    frames: list[Frame], pipeline: InfraLidarPipeline, form: Callable[[Frame], Returns]
-) -> tuple[float, float]:
-    """Share of the objects with a cluster of their own, and of the returns that are known; means over the frames."""
-    own, known = [], []
-    for k, frame in enumerate(frames):
-        returns = form(frame)
-        result = pipeline.process(START_NS + k * 100_000_000, returns)
-        of_point = result.cluster_id if returns is frame.points else result.cluster_id[frame.place]
-        own.append(own_cluster_share(frame, of_point))
-        known.append(result.background.sum() / result.points_in)
-    return float(np.mean(own)), float(np.mean(known))
 
 
 def scaling() -> None:
@@ -211,9 +231,9 @@ def main() -> None:
     compile_images()
     gc.freeze()  # as the service does: what is there by now is not looked through for garbage again
     for objects in (40, 160):
-        plain_ms = compare(objects, model, forest)
+        compare(objects, model, forest)
         print(f"(b) our own design, {objects} objects, its own calibration:")
-        default_design(objects, plain_ms)
+        default_design(objects, model)
     scaling()
     memory()
 
