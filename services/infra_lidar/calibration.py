@@ -22,6 +22,8 @@ SCORED_POINTS = 2000  # enough to choose a hypothesis; the refit takes all
 BELOW_COST = 3.0  # how much a point under the plane counts against one on it
 SECTORS = 8
 MIN_AREA_CELLS = 60  # square metres of road, at least
+# Where the sums of 1, x, y, z, xx, xy, yy, xz, yz stand in the normal equations of a plane
+_NORMAL, _RIGHT, _RIDGE = np.array([[0, 1, 2], [1, 4, 5], [2, 5, 6]]), np.array([3, 7, 8]), 1e-9 * np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -137,18 +139,19 @@ def _refit(near: np.ndarray, normal: np.ndarray, offset: float, band_m: float) -
 def fit_level_surface(local: np.ndarray, scale_m: float) -> tuple[np.ndarray, np.ndarray]:
     """One reweighted fit z = c0 + c1 x + c2 y about the current plane, Tukey's weight of half width ``scale_m``."""
     x, y, z = np.ascontiguousarray(local.T)
-    products = np.stack(
-        [np.ones_like(x), x, y, x * x, x * y, y * y, z, x * z, y * z]
-    )  # their sums are all that is asked
-    design, nearness = products[:3], 1.0 / (1.0 + (products[3] + products[5]) / 8.0**2)
-    coefficients = np.zeros(3)
+    one, xx, yy = np.ones_like(x), x * x, y * y
+    products = np.stack([one, x, y, z, xx, x * y, yy, x * z, y * z])  # their weighted sums are all that a fit needs
+    nearness, misfit = 1.0 / (1.0 + (xx + yy) / 8.0**2), np.array([0.0, 0.0, 0.0, 1.0])  # z less the plane
     for _ in range(4):
-        residual = (z - coefficients @ design) / scale_m
-        weight = np.maximum(1.0 - residual * residual, 0.0)
-        one, sx, sy, xx, xy, yy, *right = products @ (weight * weight * nearness)
-        normal_matrix = np.array([[one, sx, sy], [sx, xx, xy], [sy, xy, yy]]) + 1e-9 * np.eye(3)
-        coefficients = np.linalg.solve(normal_matrix, right)
-    return coefficients, np.abs(z - coefficients @ design) < scale_m
+        weight = misfit / scale_m @ products[:4]
+        weight *= weight
+        np.subtract(1.0, weight, out=weight)
+        np.maximum(weight, 0.0, out=weight)
+        weight *= weight
+        weight *= nearness
+        sums = products @ weight
+        misfit[:3] = -np.linalg.solve(sums[_NORMAL] + _RIDGE, sums[_RIGHT])
+    return -misfit[:3], np.abs(misfit @ products[:4]) < scale_m
 
 
 def _judge(

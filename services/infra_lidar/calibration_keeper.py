@@ -11,7 +11,7 @@ from services.infra_lidar.config import CalibrationConfig
 from services.infra_lidar.ground import Levelled
 from services.infra_lidar.range_image import Returns, points_of
 
-LOOKED_AT, WATCH_POINTS = 30_000, 4000  # points of a frame, and of the road near the sensor, that a check goes by
+LOOKED_AT, WATCH_POINTS = 10_000, 1000  # points of a frame, and of the road near the sensor, that a check goes by
 WATCH_BAND_M = 0.4  # a nudge up to this height error at 20 m is measured, a larger one loses the road and says so
 CHECKS_TO_BELIEVE = 3
 
@@ -85,9 +85,9 @@ class CalibrationKeeper:
         self._next_check_ns = stamp_ns + int(self._config.check_period_s * 1e9)
         every = len(frame.x) // LOOKED_AT | 1  # odd: so that every beam is among them
         x, y, z = frame.x[::every], frame.y[::every], frame.z[::every]
-        near = np.flatnonzero((x * x + y * y < self._config.radius_m**2) & (np.abs(z) < WATCH_BAND_M))
+        (near,) = np.nonzero((x * x + y * y < self._config.radius_m**2) & (np.abs(z) < WATCH_BAND_M))
         near = near[:: len(near) // WATCH_POINTS + 1]
-        road = np.stack([x[near], y[near], z[near]], axis=1).astype(np.float64)
+        road = np.array([x[near], y[near], z[near]], np.float64).T
         if len(road) < 50:
             self._seen_lost += 1
             return

@@ -120,11 +120,10 @@ class Ground:
     def look(self, points: np.ndarray, T_level_sensor: np.ndarray) -> Levelled:
         """Level a sample of a frame, and note in which directions there is something; what is road is not asked."""
         points, frame = np.ascontiguousarray(points, np.float32), self._room(len(points))
-        frame.returns, frame.near = kernels.level(
-            points, T_level_sensor.astype(np.float32), self._settings, self._near_m, self._histogram, frame.x, frame.y,
-            frame.z, frame.cell,
+        kernels.look(
+            points, T_level_sensor.astype(np.float32), self._settings, frame.x, frame.y, frame.z, frame.cell,
+            self._count,
         )  # fmt: skip
-        kernels.count_cells(self._fours, self._count)
         return frame
 
     @property

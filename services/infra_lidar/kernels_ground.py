@@ -154,6 +154,30 @@ def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-un
     return lane_sum(returns), lane_sum(near)
 
 
+@kernel
+def look(points, T, s, x, y, z, cell, number):  # type: ignore[no-untyped-def]
+    """Rotate and shift points as ``level`` does, but count no heights: number (cells,) is 1 where there is a point."""
+    n, width = points.shape
+    flat, grid = points.reshape(points.size), _polar_grid(s)
+    for start in range(0, n, BLOCK):
+        source, begin = whole_block(flat, width, start, n)
+        for i in range(0, min(BLOCK, n - start), LANES):
+            a, b, c, _ = columns_of(source, begin + i * width, width)
+            squared = fma(a, a, fma(b, b, c * c))
+            lx, ly, height = _turned(a, b, c, T)
+            height = select((squared > NO_RETURN_M2) & (squared < FAR_M2), height, NOT_A_NUMBER)
+            store(x, start + i, lx)
+            store(y, start + i, ly)
+            store(z, start + i, height)
+            k, inside = _polar_cell(lx, ly, height, grid)
+            store(cell, start + i, select(inside, k, CLIPPED))
+    for k in range(len(number)):
+        number[k] = 0
+    for i in range(n):
+        if cell[i] >= 0:
+            number[np.uint32(cell[i])] = 1
+
+
 @inline
 def _turned(a, b, c, T):  # type: ignore[no-untyped-def]
     """T (a, b, c), T (4, 4) float32."""
@@ -204,17 +228,6 @@ def cell_heights(histogram, fours, s, number, height):  # type: ignore[no-untype
             # inside a bin heights are as good as evenly spread
             height[c] = _height_of(s.first_place + b + (rank - seen + 0.5) / histogram[c, b])
         if n > 0:
-            for k in range(bins // 4):
-                fours[c, k] = np.uint64(0)
-
-
-@kernel
-def count_cells(fours, number):  # type: ignore[no-untyped-def]
-    """The number of points of each cell, where nothing else is asked of its heights. What was counted is cleared."""
-    bins = 4 * fours.shape[1]
-    for c in range(number.shape[0]):
-        number[c] = _sum(fours, c, 0, bins)
-        if number[c] > 0:
             for k in range(bins // 4):
                 fours[c, k] = np.uint64(0)
 

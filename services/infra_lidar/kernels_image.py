@@ -51,6 +51,24 @@ def project(range_m, intensity, cos, sin, bank, beams, points):  # type: ignore[
 
 
 @kernel
+def project_returns(range_m, intensity, cos, sin, bank, beams, every, points):  # type: ignore[no-untyped-def]
+    """The same for the returns of every so many rows alone, one behind the other; returns how many they are."""
+    m = 0
+    for row in range(0, len(range_m), every):
+        project(
+            range_m[row : row + 1], intensity[row : row + 1], cos[row : row + 1], sin[row : row + 1],
+            bank[row : row + 1], beams, points[m:],
+        )  # fmt: skip
+        to = m
+        for i in range(range_m.shape[1]):
+            for column in range(5):
+                points[to, column] = points[m + i, column]
+            to += range_m[row, i] > 0
+        m = to
+    return m
+
+
+@kernel
 def locate_rows(cos, sin, bank, width, columns, first):  # type: ignore[no-untyped-def]
     """first (R,) int32, with room for a vector more: the cell of the background of the first range of each row; those
     of the others of the row follow it."""

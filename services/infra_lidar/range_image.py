@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from services.infra_lidar.kernels_image import project
+from services.infra_lidar.kernels_image import project, project_returns
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +49,12 @@ class RangeImage:
 
     def sample(self, every: int) -> np.ndarray:
         """(M, 5) the returns of every so many rows, as points."""
-        names = "range_m", "intensity", "cos", "sin", "bank"
-        some = {name: np.ascontiguousarray(getattr(self, name)[::every]) for name in names}
-        image = RangeImage(**some, beams=self.beams)
-        return image.points[image.range_m.ravel() > 0]
+        rows, width = self.range_m.shape
+        points = np.empty((-(-rows // every) * width, 5), np.float32)
+        m = project_returns(
+            self.range_m, self.intensity, self.cos, self.sin, self.bank, self.beams, every, points
+        )  # fmt: skip
+        return points[:m]
 
 
 Returns: TypeAlias = np.ndarray | RangeImage

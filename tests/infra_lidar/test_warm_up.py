@@ -11,7 +11,7 @@ from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.feature_spacing import cluster_spacing
 from services.infra_lidar.features import SPACING
-from services.infra_lidar.kernels_ground import count_cells, find_known
+from services.infra_lidar.kernels_ground import find_known, look
 from services.infra_lidar.tracking import MultiObjectTracker
 
 
@@ -28,7 +28,7 @@ def test_a_warm_start_has_run_what_comes_seldom():
     assert len(told) == 1
     assert "kernels" in told[0]
     assert find_known.signatures  # frames after the end of learning
-    assert count_cells.signatures  # the watch over the pole
+    assert look.signatures  # the watch over the pole
 
 
 def test_the_search_for_neighbours_is_ready_before_a_class_hangs_on_it(monkeypatch: pytest.MonkeyPatch):
