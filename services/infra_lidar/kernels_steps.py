@@ -38,8 +38,8 @@ def find_clusters(points, m, source, s, look, ints, floats, grid, touched, row_s
     frame.
 
     s: a record of ``SETTINGS``; look: one of ``LOOK`` for the article's second look, which goes by all points, else
-    None. ints (INTS, m + 1 or more) int32 and floats (FLOATS, m or more) float32 are
-    scratch, with room for a vector more; grid, touched and row_start as in ``kernels_labels``.
+    None. ints (INTS, m + 1 or more) int32 and floats (FLOATS, m or more) float32 are scratch, with room for a vector
+    more; grid, touched and row_start as in ``kernels_labels``.
     Returns copies, see ``ClusterPoints``: planar (3, S) float32, with room for a vector behind it, offsets (K + 1,)
     int32, members (T,) int32, member_offsets (K + 1,) int32, box (K, 8) float32.
     """

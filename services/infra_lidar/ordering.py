@@ -17,11 +17,12 @@ COUNTED = 512
 
 @kernel
 def rising(keys):  # type: ignore[no-untyped-def]
-    """(n,) int64: indices of the keys (n,) in rising order, equal ones as they come; keys are compared as float32."""
+    """(n,) int64: indices of the keys (n,) in rising order, equal ones as they come; keys are compared as float32, what
+    is no number as infinity."""
     n = len(keys)
     padded, order = np.empty(n + LANES, np.float32), np.empty(n, np.int64)
     for i in range(n):
-        padded[i] = keys[i]
+        padded[i] = keys[i] if keys[i] == keys[i] else np.inf
     rising_in(padded, n, order)
     return order
 

@@ -29,6 +29,11 @@ def test_many_with_equals_among_them_rise_as_well(n):
     assert np.array_equal(rising(keys), np.argsort(keys, kind="stable"))
 
 
+def test_what_is_no_number_comes_last():
+    keys = np.array([2.0, np.nan, -np.inf, np.nan, 1.0])
+    assert rising(keys).tolist() == [2, 4, 0, 1, 3]
+
+
 @given(NUMBERS)
 def test_sorted_in_place(numbers):
     values = np.array(numbers, np.float32)
