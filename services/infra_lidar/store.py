@@ -55,7 +55,7 @@ class Store:
         try:
             return read(path)
         except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
-            log.warning("%s is damaged and not used: %s", path, error)
+            log.warning("%s is damaged, or of another version, and is made anew: %s", path, error)
             return None
 
     def _write(self, name: str, data: bytes) -> None:
