@@ -295,15 +295,3 @@ def _planes(surface):  # type: ignore[no-untyped-def]
             planes[k, c + 1] = surface[c, k]
         flat &= (surface[c, 1] == 0.0) & (surface[c, 2] == 0.0)
     return planes, flat
-
-
-@kernel
-def beams_seen(rings, seen):  # type: ignore[no-untyped-def]
-    """Number of different rings. rings (N,) float32, seen (256,) bool scratch."""
-    seen[:] = False
-    for i in range(rings.shape[0]):
-        seen[np.uint8(rings[i])] = True
-    number = 0
-    for ring in range(256):
-        number += seen[ring]
-    return number

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inline, inner
+from services.infra_lidar.jit import inline, inner, kernel
 from services.infra_lidar.vectors import (
     LANES,
     every,
@@ -85,3 +85,15 @@ def angle(y, x):  # type: ignore[no-untyped-def]
     p = select(ay > ax, HALF_PI - p, p)
     p = select(x < np.float32(0.0), PI - p, p)
     return select(y < np.float32(0.0), p * np.float32(-1.0), p)
+
+
+@kernel
+def beams_seen(rings, seen):  # type: ignore[no-untyped-def]
+    """Number of different rings. rings (N,) float32, seen (256,) bool scratch."""
+    seen[:] = False
+    for i in range(rings.shape[0]):
+        seen[np.uint8(rings[i])] = True
+    number = 0
+    for ring in range(256):
+        number += seen[ring]
+    return number

@@ -15,7 +15,7 @@ from services.infra_lidar.calibration_keeper import CalibrationKeeper
 from services.infra_lidar.clustering import ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.ground import Ground, Levelled, Obstacles
-from services.infra_lidar.kernels_ground import beams_seen
+from services.infra_lidar.kernels_returns import beams_seen
 from services.infra_lidar.range_image import Returns, count_of, points_of, sample_of
 from services.infra_lidar.structure import StructureMap
 

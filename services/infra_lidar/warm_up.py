@@ -27,7 +27,7 @@ from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
 from services.infra_lidar.features import compute_features
 from services.infra_lidar.ground import Obstacles
-from services.infra_lidar.kernels_ground import beams_seen
+from services.infra_lidar.kernels_returns import beams_seen
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.range_image import RangeImage
 from services.infra_lidar.shipped import lay_out_own

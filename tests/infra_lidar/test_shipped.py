@@ -63,7 +63,7 @@ def test_a_folder_that_cannot_be_written_is_told_and_stops_nothing(
 
 USE_ONE = """
 import numpy as np
-from services.infra_lidar.kernels_ground import beams_seen
+from services.infra_lidar.kernels_returns import beams_seen
 from services.infra_lidar.shipped import lay_out_own
 laid_out = lay_out_own()
 beams_seen(np.zeros((1, 2), np.float32)[:, 0], np.zeros(256, bool))
