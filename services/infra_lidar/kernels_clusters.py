@@ -13,7 +13,6 @@ from services.infra_lidar.jit import inner, sum_kernel
 from services.infra_lidar.kernels_runs import find_runs
 from services.infra_lidar.vectors import (
     LANES,
-    copy_first,
     fma,
     lane_max,
     lane_min,
@@ -22,6 +21,7 @@ from services.infra_lidar.vectors import (
     load,
     smaller,
     splat,
+    store,
 )
 
 
@@ -83,7 +83,9 @@ def _arrange(  # type: ignore[no-untyped-def]
     begin, label, begins, number, offsets, shape, points, source, there, there_source
 ):
     """A stable counting sort by the clusters of labels, span by span."""
-    slot, drawn = offsets.copy(), np.zeros(len(offsets), np.int64)
+    slot, drawn, step = offsets.copy(), np.zeros(len(offsets), np.int64), np.empty(len(offsets), np.int64)
+    for k in range(len(offsets) - 1):
+        step[k] = (np.int64(offsets[k + 1] - offsets[k]) << 16) // (shape[k + 1] - shape[k])
     for r in range(len(begins) - 1):
         k = number[np.uint32(label[begins[r]] + 1)]
         if k < 0:
@@ -92,40 +94,53 @@ def _arrange(  # type: ignore[no-untyped-def]
         first = begin[begins[r]]
         n, to = begin[begins[r + 1]] - first, slot[k]
         slot[k] += n
-        for i in range(0, n, LANES):
-            copy_first(there_source, to + i, source, first + i, np.int32(n - i))
-        number_of, copied, seen = offsets[k + 1] - offsets[k], shape[k + 1] - shape[k], to - offsets[k]
-        if copied == number_of:
-            _copy(points, first, n, there, shape[k] + seen)
+        end, i = offsets[k + 1], 0
+        while i < n and to + i + LANES <= end:  # whole vectors: the next span writes over what is too much
+            store(there_source, to + i, load(source, first + i))
+            i += LANES
+        while i < n:
+            there_source[to + i] = source[first + i]
+            i += 1
+        seen, wanted = to - offsets[k], shape[k + 1] - shape[k]
+        if wanted == end - offsets[k]:
+            _copy(points, first, n, there, shape[k] + seen, shape[k + 1])
         else:
-            drawn[k] = _draw(points, first, n, seen, number_of, copied, there, shape[k], drawn[k])
+            drawn[k] = _draw(points, first, n, seen, step[k], wanted, there, shape[k], drawn[k])
 
 
 @inner
-def _copy(points, first, n, there, to):  # type: ignore[no-untyped-def]
-    """Copy n points (4, N) from ``first`` on to there (4, S) from ``to`` on."""
+def _copy(points, first, n, there, to, end):  # type: ignore[no-untyped-def]
+    """Copy n points (4, N) from ``first`` on to there (4, S) from ``to`` on; nothing else is there before ``end``."""
     x, y, z, above = points[0], points[1], points[2], points[3]
     there_x, there_y, there_z, there_above = there[0], there[1], there[2], there[3]
-    for i in range(0, n, LANES):
-        a, b, left = first + i, to + i, np.int32(n - i)
-        copy_first(there_x, b, x, a, left)
-        copy_first(there_y, b, y, a, left)
-        copy_first(there_z, b, z, a, left)
-        copy_first(there_above, b, above, a, left)
+    i = 0
+    while i < n and to + i + LANES <= end:
+        a, b = first + i, to + i
+        store(there_x, b, load(x, a))
+        store(there_y, b, load(y, a))
+        store(there_z, b, load(z, a))
+        store(there_above, b, load(above, a))
+        i += LANES
+    while i < n:
+        for row in range(4):
+            there[row, to + i] = points[row, first + i]
+        i += 1
 
 
 @inner
-def _draw(points, first, n, seen, number, wanted, there, to, drawn):  # type: ignore[no-untyped-def]
-    """Copy those of n points, from ``first`` on, that are among the ``wanted`` of a cluster's ``number``.
+def _draw(points, first, n, seen, step, wanted, there, to, drawn):  # type: ignore[no-untyped-def]
+    """Copy those of n points, from ``first`` on, that are among the ``wanted`` of their cluster: the j-th of these is
+    its point j * step / 65536.
 
-    ``seen`` points of it came before, and the ``drawn`` copied ones of them lie from ``to`` on. The j-th that is wanted
-    is point j * number / wanted. Returns how many are drawn now.
+    ``seen`` points of it came before, and the ``drawn`` copied ones of them lie from ``to`` on. Returns how many are
+    drawn now.
     """
-    step = (np.int64(number) << 16) // wanted
+    x, y, z, above = points[0], points[1], points[2], points[3]
+    there_x, there_y, there_z, there_above = there[0], there[1], there[2], there[3]
     at = (drawn * step) >> 16
     while drawn < wanted and at < seen + n:
-        for row in range(4):
-            there[row, to + drawn] = points[row, first + (at - seen)]
+        a, b = np.uint32(first + (at - seen)), np.uint32(to + drawn)
+        there_x[b], there_y[b], there_z[b], there_above[b] = x[a], y[a], z[a], above[a]
         drawn += 1
         at = (drawn * step) >> 16
     return drawn

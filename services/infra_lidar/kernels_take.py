@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inner
+from services.infra_lidar.jit import inline, inner
 from services.infra_lidar.kernels_clusters import measure_one
-from services.infra_lidar.vectors import LANES, copy_first
+from services.infra_lidar.vectors import LANES, load, store
 
 
 @inner
@@ -24,7 +24,8 @@ def take_out(points, shape, source, offsets, box, group, s, scratch):  # type: i
     (G + 1,), members (M,), where each begins in those (G + 1,), and box (G, 8).
     """
     number, first, following = _members(group, offsets)
-    groups, total, copied = 0, 0, 0
+    taken, copied = np.empty(len(group), np.int32), 0  # clusters, group by group
+    clusters, groups, total = 0, 0, 0
     for g in range(len(group)):
         if number[g] == 0:
             continue
@@ -33,24 +34,17 @@ def take_out(points, shape, source, offsets, box, group, s, scratch):  # type: i
         if s is None or _possible(box[first[g]], number[g], s):
             groups, total, k = groups + 1, total + number[g], first[g]
             while k >= 0:
+                taken[clusters], clusters = k, clusters + 1
                 copied, k = copied + (shape[k + 1] - shape[k]), following[k]
         else:
             number[g] = 0
+    taken = taken[:clusters]
     planar = np.empty(3 * copied + LANES, np.float32)[: 3 * copied].reshape(3, copied)
-    members, boxes, at = np.empty(total, np.int32), np.empty((groups, 8), np.float32), 0
-    begins, member_begins, to, members_to = np.zeros(groups + 1, np.int32), np.zeros(groups + 1, np.int32), 0, 0
-    for g in range(len(group)):
-        if number[g] == 0:
-            continue
-        for column in range(8):
-            boxes[at, column] = box[first[g], column]
-        k = first[g]
-        while k >= 0:
-            to = _append(points, shape[k], shape[k + 1], planar, to)
-            members_to = _append_indices(source, offsets[k], offsets[k + 1], members, members_to)
-            k = following[k]
-        at += 1
-        begins[at], member_begins[at] = to, members_to
+    for row in range(3):  # what is too much is written over by the next one, and in the end by the next row
+        _line_up(points[row], shape, taken, planar[row])
+    members = np.empty(total + LANES, np.int32)[:total]
+    _line_up(source, offsets, taken, members)
+    begins, member_begins, boxes = _begins(group, shape, offsets, taken, box, groups)
     return planar, begins, members, member_begins, boxes
 
 
@@ -72,20 +66,37 @@ def _members(group, offsets):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _append(points, first, last, planar, to):  # type: ignore[no-untyped-def]
-    """Copy points first to last behind those that are there; returns how many there are."""
-    for i in range(first, last, LANES):
-        for row in range(3):
-            copy_first(planar[row], to + (i - first), points[row], i, np.int32(last - i))
+def _line_up(values, offsets, taken, out):  # type: ignore[no-untyped-def]
+    """Copy what the clusters ``taken`` have of the values, one behind the other; out has room for a vector more."""
+    to = 0
+    for k in taken:
+        to = _append(values, offsets[k], offsets[k + 1], out, to)
+
+
+@inline
+def _append(values, first, last, out, to):  # type: ignore[no-untyped-def]
+    """Copy values first to last, and what of a vector comes behind them; returns where they end."""
+    for i in range(0, last - first, LANES):
+        store(out, to + i, load(values, first + i))
     return to + (last - first)
 
 
 @inner
-def _append_indices(source, first, last, members, to):  # type: ignore[no-untyped-def]
-    """The same for indices in the frame."""
-    for i in range(first, last, LANES):
-        copy_first(members, to + (i - first), source, i, np.int32(last - i))
-    return to + (last - first)
+def _begins(group, shape, offsets, taken, box, groups):  # type: ignore[no-untyped-def]
+    """Where each of the groups begins, by shape and by offsets (G + 1,) int32, and its box (G, 8), that of its first
+    cluster."""
+    begins, member_begins = np.zeros(groups + 1, np.int32), np.zeros(groups + 1, np.int32)
+    boxes, at = np.empty((groups, 8), np.float32), 0
+    for i in range(len(taken)):
+        k = taken[i]
+        if i == 0 or group[k] != group[taken[i - 1]]:
+            for column in range(8):
+                boxes[at, column] = box[k, column]
+            at += 1
+            begins[at], member_begins[at] = begins[at - 1], member_begins[at - 1]
+        begins[at] += shape[k + 1] - shape[k]
+        member_begins[at] += offsets[k + 1] - offsets[k]
+    return begins, member_begins, boxes
 
 
 @inner
@@ -93,11 +104,9 @@ def _measure_group(points, offsets, head, following, scratch, box):  # type: ign
     """box[head] as that of this cluster and all that follow it."""
     k, n, lowest = head, 0, box[head, 7]
     while k >= 0:
-        first, last = offsets[k], offsets[k + 1]
-        for i in range(first, last, LANES):
-            for row in range(3):
-                copy_first(scratch[row], n + (i - first), points[row], i, np.int32(last - i))
-        n, lowest, k = n + (last - first), min(lowest, box[k, 7]), following[k]
+        for row in range(3):
+            _append(points[row], offsets[k], offsets[k + 1], scratch[row], n)
+        n, lowest, k = n + (offsets[k + 1] - offsets[k]), min(lowest, box[k, 7]), following[k]
     measure_one(scratch[0, :n], scratch[1, :n], scratch[2, :n], box[head])
     box[head, 7] = lowest
 

@@ -20,7 +20,6 @@ from services.infra_lidar.vector_types import (
     Vector,
     as_intrinsic,
     lane_list,
-    spread_number,
 )
 
 _LONG, _BYTE = ir.IntType(64), ir.IntType(8)
@@ -78,35 +77,6 @@ def _store(typing_context: Any, array: Any, at: Any, vector: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, at, vector), generate
-
-
-def _copy_first(typing_context: Any, out: Any, to: Any, values: Any, at: Any, number: Any) -> Any:
-    kind = _kind_of(out)
-    if _kind_of(values) != kind:
-        raise TypeError(f"copy_first: not from {values} to {out}")
-
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        address, flags, align = _BYTE.as_pointer(), FLAGS.llvm, ir.Constant(WORD, 4)
-        to, at = (
-            builder.bitcast(
-                _place(context, builder, sig.replace(args=sig.args[k:]), args[k:], kind.llvm.element), address
-            )
-            for k in (0, 2)
-        )
-        many = spread_number(context, builder, types.int32, INTS, args[4])
-        chosen = builder.icmp_signed("<", lane_list(list(range(LANES))), many)
-        name, void = f"v{LANES}{'f32' if kind == FLOATS else 'i32'}.p0", ir.VoidType()
-        read = ir.FunctionType(kind.llvm, [address, WORD, flags, kind.llvm])
-        write = ir.FunctionType(void, [kind.llvm, address, WORD, flags])
-        load, store = (
-            cgutils.get_or_insert_function(builder.module, type_, f"llvm.masked.{what}.{name}")
-            for what, type_ in (("load", read), ("store", write))
-        )
-        vector = builder.call(load, [at, align, chosen, ir.Constant(kind.llvm, ir.Undefined)])
-        builder.call(store, [vector, to, align, chosen])
-        return context.get_dummy_value()
-
-    return types.void(out, to, values, at, types.int32), generate
 
 
 def _store_chosen(typing_context: Any, array: Any, at: Any, vector: Any, flags: Any) -> Any:
@@ -278,12 +248,6 @@ def load(array: Any, at: Any) -> Any:
 @_named(_store)
 def store(array: Any, at: Any, vector: Any) -> Any:
     """array[at : at + LANES] = vector; flags also into integers."""
-
-
-@_named(_copy_first)
-def copy_first(out: Any, to: Any, values: Any, at: Any, number: Any) -> Any:
-    """out[to : to + number] = values[at : at + number], LANES at the most, of float32 or int32. Nothing else is read
-    or written: no room is needed behind either."""
 
 
 @_named(_store_chosen)

@@ -26,7 +26,6 @@ from numba.core import cgutils
 from numba.core.typing.templates import signature
 
 from services.infra_lidar.vector_memory import (
-    copy_first,
     every,
     gather,
     gather_listed,
@@ -55,7 +54,6 @@ __all__ = [
     "LANES",
     "bit_count",
     "bits",
-    "copy_first",
     "every",
     "first_bit",
     "floor",

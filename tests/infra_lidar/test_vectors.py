@@ -23,7 +23,6 @@ from services.infra_lidar.vectors import (
     LANES,
     bit_count,
     bits,
-    copy_first,
     every,
     first_bit,
     floor,
@@ -193,23 +192,6 @@ def test_chosen_lanes_are_stored_side_by_side(flags, values):
     assert np.array_equal(kept[1 : 1 + count], floats[flags])
     assert np.array_equal(kept_numbers[1 : 1 + count], numbers[flags])
     assert (kept[0], kept[-1], kept_numbers[0], kept_numbers[-1]) == (-7, -7, -7, -7)
-
-
-@numba.njit(error_model="numpy")
-def first_ones(values, numbers, number, kept, kept_numbers):
-    copy_first(kept, 1, values, 2, number)
-    copy_first(kept_numbers, 1, numbers, 2, number)
-
-
-@given(st.integers(0, LANES + 3), INTS)
-@settings(deadline=None, max_examples=40)
-def test_the_first_lanes_are_copied_and_nothing_behind_them(number, values):
-    count = min(number, LANES)
-    numbers, floats = values.ravel()[: 2 + count], values.ravel()[: 2 + count].astype(np.float32)
-    kept, kept_numbers = np.full(LANES + 2, -7, np.float32), np.full(LANES + 2, -7, np.int32)
-    first_ones(floats, numbers, np.int32(number), kept, kept_numbers)
-    assert kept.tolist() == [-7.0, *floats[2:], *[-7.0] * (LANES + 1 - count)]
-    assert kept_numbers.tolist() == [-7, *numbers[2:], *[-7] * (LANES + 1 - count)]
 
 
 @numba.njit
