@@ -100,7 +100,7 @@ class ArticleByKernels:
         box = found.box[objects]
         self._stamp_ns += 100_000_000
         seen = Detections(centres[objects], box[:, 3:6], box[:, 6], names, confidence[objects])
-        self.tracker.step(self._stamp_ns, seen)
+        self.tracker.step(self._stamp_ns, seen.records())
         self.timed.add("track", t)
         return {"centres": centres, "labels": labels}
 

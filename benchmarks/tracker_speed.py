@@ -81,7 +81,7 @@ def main() -> None:
     for count in (40, 100, 300):
         frames = [scene(count, number) for number in range(FRAMES)]
         silent, whole = MultiObjectTracker(TrackingConfig()), MultiObjectTracker(TrackingConfig())
-        update = _timed(lambda i, f, t=silent: t.step((i + 1) * 100_000_000, f), frames)
+        update = _timed(lambda i, f, t=silent: t.step((i + 1) * 100_000_000, f.records()), frames)
         message = _timed(lambda i, f, t=whole: t.update((i + 1) * 100_000_000, f), frames)
         plain = PlainTracker()
         plain_ms = _timed(lambda _, f, t=plain: t.update(f.position_m), frames[: 4 if count > 100 else 10])[0]

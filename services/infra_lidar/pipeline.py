@@ -18,7 +18,7 @@ from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.range_image import RangeImage, Returns
 from services.infra_lidar.result import ClusterSet, FrameResult
 from services.infra_lidar.scene import Parted, Scene
-from services.infra_lidar.tracking import Detections, MultiObjectTracker
+from services.infra_lidar.tracking import MultiObjectTracker, records_of
 
 _IDENTITY = np.eye(4)
 
@@ -82,7 +82,7 @@ class InfraLidarPipeline:
 
         # 5. Who is it, and where does it go? In the map frame.
         T_map_level = self._map_from_level(calibration)
-        self.tracker.step(stamp_ns, self._detections(clusters, found, T_map_level))
+        self.tracker.step(stamp_ns, self._seen(clusters, found, T_map_level))
         tracks = self.tracker.told()
         watch.lap("track")
 
@@ -112,15 +112,14 @@ class InfraLidarPipeline:
             features=features, offsets=found.member_offsets, members=found.members, ground_z_m=road_z_m,
         )  # fmt: skip
 
-    def _detections(self, clusters: ClusterSet, found: ClusterPoints, T_map_level: np.ndarray) -> Detections:
-        """All clusters in the map frame: background keeps tracks alive that the forest gave up for a moment."""
-        boxes = clusters.boxes
-        centre = found.means if self.config.tracking.boxes == "centroid" else boxes[:, :3]
-        return Detections(
-            position_m=centre, size_m=boxes[:, 3:6], yaw_rad=boxes[:, 6], labels=clusters.classes,
-            confidence=clusters.confidences, points=clusters.counts, probabilities=clusters.probabilities,
-            T_map_source=T_map_level,
-        )  # fmt: skip
+    def _seen(self, clusters: ClusterSet, found: ClusterPoints, T_map_level: np.ndarray) -> np.ndarray:
+        """All clusters for the tracker: background keeps tracks alive that the forest gave up for a moment."""
+        box = found.box
+        if self.config.tracking.boxes == "centroid":
+            box = np.hstack((found.means, box[:, 3:]))
+        return records_of(
+            box, clusters.classes, clusters.confidences, clusters.counts, clusters.probabilities, T_map_level
+        )
 
     def _map_from_level(self, calibration: Calibration) -> np.ndarray:
         """Identity without a surveyed pose: then the map is the road plane at the pole's foot."""

@@ -15,12 +15,11 @@ import numpy as np
 
 from common.messages import ObjectLabel, ObjectTrack, check_shape
 from services.infra_lidar.classes import CLASSES, LABELS
-from services.infra_lidar.tracking_assign import associate
+from services.infra_lidar.tracking_assign import cheapest
 from services.infra_lidar.tracking_config import TrackingConfig
 from services.infra_lidar.tracking_filter import DETECTION, TRACK, TRAIL, parameters
 from services.infra_lidar.tracking_life import TrackTable, tell
-from services.infra_lidar.tracking_split import cut_groups
-from services.infra_lidar.tracking_step import advance, candidates, conclude, describe, keep
+from services.infra_lidar.tracking_step import candidates, conclude, describe, keep
 
 assert set(LABELS) == set(get_args(ObjectLabel))
 
@@ -68,18 +67,27 @@ class Detections:
             raise ValueError(f"labels: {unknown} not among {', '.join(LABELS)}")
 
     def records(self) -> np.ndarray:
-        """(K,) ``DETECTION``: what the kernels work on."""
-        made, label = np.empty(len(self.labels), DETECTION), self.labels
+        """(K,) ``DETECTION``: what the tracker works on."""
+        label = self.labels
         if not isinstance(label, np.ndarray):
-            label = np.fromiter(map(_LABEL_INDEX.__getitem__, label), np.int64, len(made))
+            label = np.fromiter(map(_LABEL_INDEX.__getitem__, label), np.int64, len(label))
         points = _NO_POINTS if self.points is None else np.ascontiguousarray(self.points, np.int64)
-        chances = _NO_CHANCES if self.probabilities is None else self.probabilities
-        position, size, yaw, confidence, chances, T = (
-            np.ascontiguousarray(a, np.float64)
-            for a in (self.position_m, self.size_m, self.yaw_rad, self.confidence, chances, self.T_map_source)
-        )
-        describe(position, size, yaw, np.ascontiguousarray(label, np.int64), confidence, points, chances, T, made)
-        return made
+        chances = _NO_CHANCES if self.probabilities is None else np.ascontiguousarray(self.probabilities, np.float64)
+        box = np.column_stack((self.position_m, self.size_m, self.yaw_rad)).astype(np.float64)
+        confidence, T = (np.ascontiguousarray(a, np.float64) for a in (self.confidence, self.T_map_source))
+        return records_of(box, np.ascontiguousarray(label, np.int64), confidence, points, chances, T)
+
+
+def records_of(
+    box: np.ndarray, labels: np.ndarray, confidence: np.ndarray, points: np.ndarray, probabilities: np.ndarray,
+    T_map_source: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """(K,) ``DETECTION`` of boxes (K, 7 or more) in a frame that ``T_map_source`` (4, 4) brings to the map: centre x,
+    y, z, length, width, height (m), yaw (rad). The rest as in ``Detections``, which also checks it; here labels (K,)
+    are indices into ``LABELS``."""
+    made = np.empty(len(box), DETECTION)
+    describe(box, labels, confidence, points, probabilities, T_map_source, made)
+    return made
 
 
 class MultiObjectTracker:
@@ -117,25 +125,27 @@ class MultiObjectTracker:
 
     def update(self, stamp_ns: int, detections: Detections) -> list[ObjectTrack]:
         """One frame: ``step``, then ``messages``."""
-        self.step(stamp_ns, detections)
+        self.step(stamp_ns, detections.records())
         return self.messages()
 
-    def step(self, stamp_ns: int, detections: Detections) -> None:
-        """One frame. A stamp that is not later than the last one begins anew: all tracks are dropped."""
-        # Bring every track to the time of this frame
-        dt_s, seen, p = self._advance(stamp_ns), detections.records(), self._settings
-
-        # Cut clusters of people where their tracks are
-        seen, self._source = cut_groups(self._tracks, seen) if self._cut else (seen, None)
+    def step(self, stamp_ns: int, seen: np.ndarray) -> None:
+        """One frame, seen (K,) ``DETECTION``. A stamp that is not later than the last one begins anew: all tracks are
+        dropped."""
+        # Bring every track to the time of this frame, cut clusters of people where their tracks are, look who is near
+        dt_s, p = self._begin(stamp_ns), self._settings
+        seen, source, sure_t, sure_d, contested_t, contested_d, costs = candidates(
+            self._tracks, seen, stamp_ns, dt_s, self._cut, p
+        )
+        self._source = source if len(source) else None
 
         # Find the cheapest assignment of detections to tracks
-        rows, columns = associate(*candidates(self._tracks, seen, p))
+        rows, columns = cheapest(costs)
 
         # Correct the tracks that were seen; confirm, retire, found new ones from what is left, give up doubles
         self._make_room(len(seen))
         self._count, founded, given_up = conclude(
-            self._room, self._count, rows, columns, seen, dt_s, stamp_ns, self._frame % TRAIL, self._ring_ns,
-            self._next_id, self._blank, self._config.absorb, p,
+            self._room, self._count, sure_t, sure_d, contested_t, contested_d, costs, rows, columns, seen, dt_s,
+            stamp_ns, self._frame % TRAIL, self._ring_ns, self._next_id, self._blank, self._config.absorb, p,
         )  # fmt: skip
         self._next_id += founded
         self.absorbed = dict(given_up.tolist()) if len(given_up) else {}
@@ -159,7 +169,7 @@ class MultiObjectTracker:
         standing = ~self._tracks["moving"]
         self._tracks["frames"][standing], self._tracks["run"][standing] = 0, 0
 
-    def _advance(self, stamp_ns: int) -> float:
+    def _begin(self, stamp_ns: int) -> float:
         if self._next_id < 0:
             self._next_id = (stamp_ns // 1_000_000_000 % 86_400) * 10_000 + self._config.first_id
         if stamp_ns <= self._stamp_ns:
@@ -168,7 +178,6 @@ class MultiObjectTracker:
         self._stamp_ns = stamp_ns
         self._frame += 1
         self._ring_ns[self._frame % TRAIL] = stamp_ns
-        advance(self._tracks, stamp_ns, dt_s, self._settings)
         return dt_s
 
     def _make_room(self, more: int) -> None:

@@ -23,16 +23,12 @@ from services.infra_lidar.tracking_filter import innovation
 FORBIDDEN = 1e6
 
 
-def associate(
-    sure_t: np.ndarray, sure_d: np.ndarray, contested_t: np.ndarray, contested_d: np.ndarray, costs: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs (track indices, detection indices) of least total cost among as many allowed pairs as possible, from what
-    ``easy_pairs`` says: two that are allowed nobody but each other need no Hungarian, it is left with the contested.
-    """
-    if not len(contested_t):
-        return sure_t, sure_d
-    r, c = linear_sum_assignment(costs)
-    return chosen_pairs(sure_t, sure_d, contested_t, contested_d, costs, r, c)
+_NONE = np.zeros(0, np.int64)
+
+
+def cheapest(costs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns (A,) of the least total cost: the Hungarian, for those that are contested; most are not."""
+    return linear_sum_assignment(costs) if costs.size else (_NONE, _NONE)
 
 
 @kernel
@@ -40,7 +36,9 @@ def chosen_pairs(
     sure_t: np.ndarray, sure_d: np.ndarray, contested_t: np.ndarray, contested_d: np.ndarray, costs: np.ndarray,
     r: np.ndarray, c: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """The sure pairs, and those of contested tracks r and detections c (A,) that are allowed."""
+    """Pairs (track indices, detection indices) of least total cost among as many allowed pairs as possible: the sure
+    ones, from what ``easy_pairs`` says, and those of contested tracks r and detections c (A,), ``cheapest``, that are
+    allowed."""
     number, room = len(sure_t), len(sure_t) + len(r)
     rows, columns = np.empty(room, np.int64), np.empty(room, np.int64)
     for i in range(number):

@@ -70,8 +70,8 @@ PARAMETERS = np.dtype(
 )  # fmt: skip
 
 
-def parameters(config: TrackingConfig) -> np.record:
-    """The settings as kernels take them: one record of ``PARAMETERS``."""
+def parameters(config: TrackingConfig) -> np.ndarray:
+    """(1,) ``PARAMETERS``: the settings. Kernels take an array; a record by itself takes a microsecond to hand over."""
     made = np.zeros(1, PARAMETERS)
     for name in PARAMETERS.names or ():
         if hasattr(config, name):
@@ -79,7 +79,7 @@ def parameters(config: TrackingConfig) -> np.record:
     made["visible"], made["step"] = config.boxes == "visible", config.process == "step"
     made["distance"], made["hard"] = config.cost == "distance", config.classes == "hard"
     made["mean_votes"] = config.votes == "mean"
-    return made[0]
+    return made
 
 
 @kernel

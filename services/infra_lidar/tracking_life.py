@@ -75,7 +75,9 @@ def found(
 
 
 @kernel
-def _describe(tracks: np.ndarray, stamp_ns: int, min_vote: float, numbers: np.ndarray, counts: np.ndarray) -> None:
+def _describe(
+    tracks: np.ndarray, stamp_ns: int, min_vote: float, numbers: np.ndarray, counts: np.ndarray, covariance: np.ndarray
+) -> None:
     """``numbers`` (13, N): position, velocity, size, yaw, age, score, share of the votes; ``counts`` (4, N): id,
     label, state, points."""
     for t in range(len(tracks)):
@@ -90,6 +92,9 @@ def _describe(tracks: np.ndarray, stamp_ns: int, min_vote: float, numbers: np.nd
         counts[0, t], counts[1, t] = track.track_id, track.label if share >= min_vote else UNKNOWN
         counts[2, t] = (2 if lost else 1) if track.confirmed else 0
         counts[3, t] = 0 if lost else track.points
+        for i in range(6):
+            for j in range(6):
+                covariance[t, i, j] = track.cov[i, j]
 
 
 @dataclass(frozen=True)
@@ -125,6 +130,7 @@ class TrackTable:
 
 def tell(tracks: np.ndarray, stamp_ns: int, min_vote: float) -> TrackTable:
     """The tracks at ``stamp_ns``; one whose class has less than ``min_vote`` of the votes is unknown."""
-    numbers, counts = np.empty((13, len(tracks))), np.empty((4, len(tracks)), np.int64)
-    _describe(tracks, stamp_ns, min_vote, numbers, counts)
-    return TrackTable(numbers, counts, tracks["cov"].copy())
+    n = len(tracks)
+    numbers, counts, covariance = np.empty((13, n)), np.empty((4, n), np.int64), np.empty((n, 6, 6))
+    _describe(tracks, stamp_ns, min_vote, numbers, counts, covariance)
+    return TrackTable(numbers, counts, covariance)

@@ -24,19 +24,13 @@ _APART_M, _PIECE_M, _MARGIN_M = 0.3, 0.2, 0.1  # between two, least of one, and 
 _MOST = 8  # people in one cluster
 
 
-def cut_groups(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Detections (``DETECTION``) with the groups cut into one piece a track, and the index each came from, None if the
-    same.
+@inner
+def cut_groups(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Detections (``DETECTION``) with the groups cut into one piece a track: what is whole, then the pieces, and the
+    index of the detection that each came from. Nothing where none is cut.
 
-    A piece has the class chances of its track: a cluster of several says nothing about one. Nothing cut: unchanged.
+    A piece has the class chances of its track: a cluster of several says nothing about one.
     """
-    cut, source = _cut_all(tracks, detections)
-    return (cut, source) if len(source) else (detections, None)
-
-
-@kernel
-def _cut_all(tracks: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What is whole, then the pieces, and the index of the detection that each came from; nothing where none is cut."""
     who, people = np.empty(len(tracks), np.int64), 0
     for t in range(len(tracks)):
         who[people] = t

@@ -22,6 +22,7 @@ from numba.core.registry import cpu_target
 from common.stopwatch import Stopwatch
 from services.infra_lidar import velodyne
 from services.infra_lidar.background import MAX_RINGS, Background, BackgroundModel, locate
+from services.infra_lidar.classes import CLASSES
 from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
@@ -31,7 +32,7 @@ from services.infra_lidar.kernels_returns import beams_seen
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.range_image import RangeImage
 from services.infra_lidar.shipped import lay_out_own
-from services.infra_lidar.tracking import Detections, MultiObjectTracker
+from services.infra_lidar.tracking import MultiObjectTracker, records_of
 from services.infra_lidar.vectors import LANES
 
 log = logging.getLogger(__name__)
@@ -130,15 +131,15 @@ def compile_tracks(config: InfraLidarConfig) -> None:
 
 def follow_people(tracker: MultiObjectTracker) -> None:
     """Two people side by side, who then stand so close that they are one cluster, which is cut."""
-    two = np.array([[9.0, 0.0, 0.9], [9.0, 0.8, 0.9]]), np.array([[0.5, 0.5, 1.7], [0.5, 0.5, 1.7]])
-    one = np.array([[9.0, 0.4, 0.9]]), np.array([[1.3, 0.5, 1.7]])
-    for k, (position_m, size_m) in enumerate((*[two] * 12, one)):
-        count = len(position_m)
-        seen = Detections(
-            position_m=position_m, size_m=size_m, yaw_rad=np.full(count, 0.5 * np.pi), labels=["pedestrian"] * count,
-            confidence=np.full(count, 0.9), points=np.full(count, 50),
-        )  # fmt: skip
-        tracker.update((10 + k) * FRAME_NS, seen)
+    two = np.array([[9.0, 0.0, 0.9, 0.5, 0.5, 1.7, 1.57, 0.0], [9.0, 0.8, 0.9, 0.5, 0.5, 1.7, 1.57, 0.0]], np.float32)
+    one = np.array([[9.0, 0.4, 0.9, 1.3, 0.5, 1.7, 1.57, 0.0]], np.float32)
+    for k, box in enumerate((*[two] * 12, one)):
+        people = np.zeros((len(box), len(CLASSES)), np.float32)
+        people[:, CLASSES.index("pedestrian")] = 1.0
+        labels, sure = people.argmax(axis=1), np.full(len(box), 0.9, np.float32)
+        seen = records_of(box, labels, sure, np.full(len(box), 50, np.int32), people, np.eye(4))
+        tracker.step((10 + k) * FRAME_NS, seen)
+        tracker.told()
 
 
 def compile_clusters(config: InfraLidarConfig) -> None:

@@ -10,7 +10,7 @@ from hypothesis import settings as how
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from services.infra_lidar.tracking_assign import FORBIDDEN, allowed_pairs, associate, easy_pairs
+from services.infra_lidar.tracking_assign import FORBIDDEN, allowed_pairs, cheapest, chosen_pairs, easy_pairs
 from services.infra_lidar.tracking_config import TrackingConfig
 from services.infra_lidar.tracking_filter import DETECTION, TRACK, correct, edge_shift, innovation, parameters, predict
 
@@ -44,7 +44,7 @@ def test_every_track_equals_its_filterpy_twin() -> None:
     rng = np.random.default_rng(1)
     tracks = random_tracks(rng, 40)
     twins = [as_filterpy(track, 0.13, 2.5) for track in tracks]
-    settings, work = parameters(TrackingConfig(acceleration_sigma=2.5)), np.empty((6, 6))
+    settings, work = parameters(TrackingConfig(acceleration_sigma=2.5))[0], np.empty((6, 6))
     for _ in range(10):
         predict(tracks, 0.13, settings)
         for t, twin in enumerate(twins):
@@ -65,7 +65,7 @@ def test_every_track_equals_its_filterpy_twin() -> None:
 @given(seed=st.integers(0, 10_000), first=st.floats(0.001, 1.0), second=st.floats(0.001, 1.0))
 def test_two_steps_equal_one_of_the_same_time(seed: int, first: float, second: float) -> None:
     tracks = random_tracks(np.random.default_rng(seed), 3)
-    once, settings = tracks.copy(), parameters(TrackingConfig())
+    once, settings = tracks.copy(), parameters(TrackingConfig())[0]
     predict(tracks, first, settings)
     predict(tracks, second, settings)
     predict(once, first + second, settings)
@@ -96,7 +96,7 @@ def test_an_interval_moves_only_as_far_as_its_edges_say(
 
 
 def test_the_edge_rule_works_along_the_tracks_own_axes() -> None:
-    mean, yaw, edges = np.zeros(6), np.pi / 3, parameters(TrackingConfig(position_sigma_m=0.1))
+    mean, yaw, edges = np.zeros(6), np.pi / 3, parameters(TrackingConfig(position_sigma_m=0.1))[0]
     along = np.array([np.cos(yaw), np.sin(yaw)])
     hidden = np.array([*(-1.0 * along), 0.0])  # the front half of a 4 m car is hidden
     out = innovation(mean, np.array([4.0, 2.0, 1.5]), yaw, hidden, np.array([2.0, 2.0, 1.5]), yaw, edges)
@@ -110,7 +110,7 @@ def test_the_edge_rule_works_along_the_tracks_own_axes() -> None:
 @pytest.mark.parametrize("turn", [0.0, np.pi / 2, np.pi, -np.pi / 2])
 def test_a_box_named_by_another_of_its_four_headings_is_the_same_box(turn: float) -> None:
     size = np.array([4.0, 2.0, 1.5]) if np.isclose(np.sin(turn), 0) else np.array([2.0, 4.0, 1.5])
-    edges, known, there = parameters(TrackingConfig()), np.array([4.0, 2.0, 1.5]), np.array([0.5, 0, 0])
+    edges, known, there = parameters(TrackingConfig())[0], np.array([4.0, 2.0, 1.5]), np.array([0.5, 0, 0])
     out = innovation(np.zeros(6), known, 0.2, there, size, 0.2 + turn, edges)
     np.testing.assert_allclose(out[:2], [0.5, 0.0], atol=1e-9)
 
@@ -121,7 +121,9 @@ def test_pair_costs_equal_the_formula_written_out() -> None:
     seen = np.zeros(4, DETECTION)
     places = seen["position"] = tracks["mean"][:4, :3] + rng.normal(0, 0.4, (4, 3))
     chances = seen["chances"] = rng.dirichlet(np.ones(5), 4)
-    rows, columns, costs = allowed_pairs(tracks, seen, parameters(TrackingConfig(boxes="full", position_sigma_m=0.2)))
+    rows, columns, costs = allowed_pairs(
+        tracks, seen, parameters(TrackingConfig(boxes="full", position_sigma_m=0.2))[0]
+    )
     got = np.full((6, 4), FORBIDDEN)
     got[rows, columns] = costs
     for t, track in enumerate(tracks):
@@ -136,7 +138,8 @@ def test_pair_costs_equal_the_formula_written_out() -> None:
 
 def assigned(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows, columns = np.nonzero(cost < FORBIDDEN)
-    return associate(*easy_pairs(rows, columns, cost[rows, columns], *cost.shape))
+    *pairs, costs = easy_pairs(rows, columns, cost[rows, columns], *cost.shape)
+    return chosen_pairs(*pairs, costs, *cheapest(costs))
 
 
 def test_more_pairs_than_there_was_room_for() -> None:
@@ -144,7 +147,7 @@ def test_more_pairs_than_there_was_room_for() -> None:
     tracks, seen = random_tracks(rng, 30), np.zeros(40, DETECTION)
     tracks["mean"][:], seen["chances"] = 0.0, 0.2
     tracks["cov"] = np.eye(6)
-    rows, columns, costs = allowed_pairs(tracks, seen, parameters(TrackingConfig(boxes="full")))
+    rows, columns, costs = allowed_pairs(tracks, seen, parameters(TrackingConfig(boxes="full"))[0])
     assert len(rows) == len(columns) == len(costs) == 30 * 40
     assert len(set(zip(rows.tolist(), columns.tolist(), strict=True))) == 30 * 40
     assert len(set(np.round(costs, 9))) <= 30
