@@ -43,7 +43,7 @@ class BackgroundModel:
 @dataclass(frozen=True)
 class Sifted:
     """A frame of N returns parted: fresh (3, M or more) x, y, z with index ``source`` (M,), and what was counted.
-    ``fresh`` and ``source`` are views into buffers, valid until the next frame."""
+    ``fresh`` is a view into buffers, valid until the next frame."""
 
     fresh: np.ndarray
     source: np.ndarray
@@ -183,12 +183,12 @@ class Background:
     def _part(self, returns: Returns, model: BackgroundModel, near_m: float) -> Sifted:
         n, take = len(returns), self._buffers.take
         room = n + -n % LINE_FLOATS
-        source, fresh = take("bg_source", n, np.int32), take(FLOATS, 3 * room, np.float32).reshape(3, room)
+        source, fresh = np.empty(room + LINE_FLOATS, np.int32), take(FLOATS, 3 * room, np.float32).reshape(3, room)
         out = np.float32(near_m), source, fresh
         if isinstance(returns, RangeImage):
-            image, first = returns, _first_cells(returns, model.columns)
+            image = returns
             m, number, near = kernels_image.sift_image(
-                image.range_m, image.cos, image.sin, image.bank, image.beams, first, model.ranges, *out
+                image.range_m, image.cos, image.sin, image.bank, image.beams, model.columns, model.ranges, *out
             )
         else:
             points = np.ascontiguousarray(returns, np.float32)

@@ -17,9 +17,9 @@ import numpy as np
 from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.classes import CLASSES, LABELS, UNKNOWN
 from services.infra_lidar.config import ClassifierConfig
-from services.infra_lidar.features import SPACING, compute_features, compute_spacing, may_wait
+from services.infra_lidar.features import SPACING, compute_spacing, features_of, may_wait, wanted_of
 from services.infra_lidar.forest import Forest, ModelError, load_forest
-from services.infra_lidar.forest_walk import likeliest
+from services.infra_lidar.forest_walk import decide
 
 __all__ = ["CLASSES", "LABELS", "SHIPPED_MODEL", "UNKNOWN", "Classifier"]
 
@@ -44,7 +44,7 @@ class Classifier:
             raise ModelError(f"[classifier] model: {path}: {known}")
         self.feature_names = self.forest.features
         self._min_confidence = config.min_confidence
-        self._waits = may_wait(self.feature_names)
+        self._wanted, self._waits = wanted_of(self.feature_names), may_wait(self.feature_names)
         self._column = self.feature_names.index(SPACING) if self._waits else -1
         self._typical = self.forest.typical(self._column) if self._waits else 0.0
 
@@ -64,7 +64,8 @@ class Classifier:
         Returns:
             features (K, F) float32, labels (K,), confidence (K,), probabilities (K, C).
         """
-        x = compute_features(points, offsets, ground_z_m, self.feature_names, buffers, not self._waits, counts)
+        buffers, counts = buffers or Buffers(), np.diff(offsets) if counts is None else counts
+        x = features_of(points, offsets, counts, ground_z_m, self._wanted, buffers, not self._waits)
         if not self._waits:
             return x, *self.classify(x)
         x[:, self._column] = self._typical
@@ -72,7 +73,7 @@ class Classifier:
         (open_,) = np.nonzero(~certain)
         x[open_, self._column] = compute_spacing(points, offsets, open_, buffers)
         shares[open_] = self.forest.shares(x[open_])
-        return x, *self._decide(self.forest.calibrated(shares))
+        return x, *self._decide(shares)
 
     def classify(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Classes of K clusters.
@@ -84,9 +85,9 @@ class Classifier:
             labels (K,) int64, index into ``LABELS`` (``UNKNOWN`` where no class is likely enough);
             confidence (K,) float32, probability of the likeliest class; probabilities (K, C) float32 over ``CLASSES``.
         """
-        return self._decide(self.forest.probabilities(features))
+        return self._decide(self.forest.shares(features))
 
-    def _decide(self, probabilities: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        labels, confidence = np.empty(len(probabilities), np.int64), np.empty(len(probabilities), np.float32)
-        likeliest(probabilities, self._min_confidence, UNKNOWN, labels, confidence)
-        return labels, confidence, probabilities
+    def _decide(self, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        labels, confidence, forest = np.empty(len(shares), np.int64), np.empty(len(shares), np.float32), self.forest
+        decide(shares, forest.calibration_x, forest.calibration_y, self._min_confidence, UNKNOWN, labels, confidence)
+        return labels, confidence, shares

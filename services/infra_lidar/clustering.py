@@ -99,8 +99,8 @@ class Clustering:
         return ClusterPoints(*found)
 
 
-def _settings(config: ClusteringConfig, cells: CellGrid, all_points: bool) -> np.record:
-    """The settings as kernels take them: one record of ``SETTINGS``."""
+def _settings(config: ClusteringConfig, cells: CellGrid, all_points: bool) -> np.ndarray:
+    """(1,) ``SETTINGS``: the settings as kernels take them."""
     made = np.zeros(1, kernels.SETTINGS)
     for name in kernels.SETTINGS.names or ():
         if hasattr(config, name):
@@ -111,7 +111,7 @@ def _settings(config: ClusteringConfig, cells: CellGrid, all_points: bool) -> np
     made["enough"] = np.iinfo(np.int64).max if all_points else config.shape_points or np.iinfo(np.int64).max
     made["widest"] = config.max_diagonal_m / config.cell_m  # cells only grow with range
     made["two_points"], made["fragments"] = config.min_cell_points > 1, config.merge == "fragments"
-    return made[0]
+    return made
 
 
 def _second_look(config: ClusteringConfig) -> np.record | None:

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.extremes import in_turn
 from services.infra_lidar.feature_hull import hull_fill
 from services.infra_lidar.jit import inline, inner, kernel
@@ -59,47 +58,34 @@ _EPS = 1e-9
 _LARGE_M = np.float32(1e9)
 
 
+@kernel
 def cluster_features(
-    planar: np.ndarray, offsets: np.ndarray, counts: np.ndarray, ground_z_m: np.ndarray, hull: bool, buffers: Buffers
-) -> np.ndarray:
-    """(K, len(ALL_NAMES)) float32 of the points ``planar`` (3, M) float32, which stand for ``counts`` (K,) ones.
+    planar: np.ndarray, offsets: np.ndarray, counts: np.ndarray, ground_z_m: np.ndarray, hull: bool,
+    columns: np.ndarray, out: np.ndarray,
+) -> bool:  # fmt: skip
+    """out (K, F) float32: the ``columns`` (F,) of ``ALL_NAMES``, of the points ``planar`` (3, M) float32, which stand
+    for ``counts`` (K,) ones. False where a cluster is empty.
 
-    ``nn_dist_std`` (see ``feature_spacing.py``) and the last three columns are filled elsewhere (1 for the hull ratio,
-    else 0); ``hull_fill`` is 0 without ``hull``.
-
-    Raises:
-        ValueError: an empty cluster.
+    ``nn_dist_std`` (see ``feature_spacing.py``) and the last three are filled elsewhere (1 for the hull ratio, else 0);
+    ``hull_fill`` is 0 without ``hull``.
     """
-    table = np.zeros((len(offsets) - 1, _WIDTH), np.float32)
-    fewest, largest = _fewest_and_most(offsets)
-    if fewest < 1:
-        raise ValueError("offsets: every cluster needs at least one point")
-    size, take = (largest // LANES + 2) * LANES, buffers.take
-    scratch, bins = take("cluster", 6 * size, np.float32).reshape(6, size), take("bins", size, np.uint8)
-    _all_clusters(planar, offsets, counts, ground_z_m, scratch, bins, hull, table)
-    return table
-
-
-@kernel
-def _fewest_and_most(offsets: np.ndarray) -> tuple[int, int]:
-    """Points of the smallest and of the largest cluster; 1 of none."""
-    fewest, most = offsets[-1] + 1, 1
+    largest = 1
     for k in range(len(offsets) - 1):
-        count = offsets[k + 1] - offsets[k]
-        fewest, most = min(fewest, count), max(most, count)
-    return fewest, most
-
-
-@kernel
-def _all_clusters(
-    planar: np.ndarray, offsets: np.ndarray, counts: np.ndarray, ground: np.ndarray, scratch: np.ndarray,
-    bins: np.ndarray, hull: bool, out: np.ndarray,
-) -> None:  # fmt: skip
+        if offsets[k + 1] <= offsets[k]:
+            return False
+        largest = max(largest, offsets[k + 1] - offsets[k])
+    size = (largest // LANES + 2) * LANES
+    scratch, bins, row = np.empty((6, size), np.float32), np.empty(size, np.uint8), np.empty(_WIDTH, np.float32)
     for k in range(len(offsets) - 1):
         first, last = offsets[k], offsets[k + 1]
         mx, my = centred(planar[0, first:last], scratch[0]), centred(planar[1, first:last], scratch[1])
-        base = centred(planar[2, first:last], scratch[2]) - ground[k]
-        _one_cluster(scratch, bins, last - first, counts[k], mx, my, base, hull, out[k])
+        base = centred(planar[2, first:last], scratch[2]) - ground_z_m[k]
+        for column in range(_WIDTH):
+            row[column] = 0.0
+        _one_cluster(scratch, bins, last - first, counts[k], mx, my, base, hull, row)
+        for j in range(len(columns)):
+            out[k, j] = row[columns[j]]
+    return True
 
 
 @inner

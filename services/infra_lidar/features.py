@@ -88,21 +88,36 @@ def compute_features(
     offsets = np.ascontiguousarray(offsets, np.int64)
     ground = np.ascontiguousarray(ground_z_m, np.float32)
     _check(points, offsets, ground)
-    wanted = _wanted(names)
-    planar = np.ascontiguousarray(points.T, np.float32)
-    buffers = buffers or Buffers()
     counts = np.diff(offsets) if counts is None else np.ascontiguousarray(counts, np.int64)
-    table = cluster_features(planar, offsets, counts, ground, wanted.hull, buffers)
+    return features_of(points, offsets, counts, ground, wanted_of(names), buffers or Buffers(), spacing)
+
+
+def features_of(
+    points: np.ndarray, offsets: np.ndarray, counts: np.ndarray, ground_z_m: np.ndarray, wanted: Wanted,
+    buffers: Buffers, spacing: bool,
+) -> np.ndarray:  # fmt: skip
+    """The same of what fits together; offsets and counts of any integers, ground_z_m float32.
+
+    Raises:
+        ValueError: an empty cluster.
+    """
+    planar = np.ascontiguousarray(points.T, np.float32)
+    table = np.empty((len(ground_z_m), len(wanted.columns)), np.float32)
+    if not cluster_features(planar, offsets, counts, ground_z_m, wanted.hull, wanted.columns, table):
+        raise ValueError("offsets: every cluster needs at least one point")
+    if wanted.neighbours or wanted.hull_points:
+        offsets = np.asarray(offsets, np.int64)
     if wanted.neighbours and (spacing or wanted.pieces):
-        every = np.arange(len(ground))
+        every = np.arange(len(table))
         deviation_m, nearest_m = cluster_spacing(planar, offsets, every, wanted.pieces, buffers)
-        table[:, _INDEX[SPACING]] = deviation_m
+        table[:, wanted.columns == _INDEX[SPACING]] = deviation_m[:, None]
     if wanted.pieces:
-        first = _INDEX[_PIECE_NAMES[0]]
-        table[:, first : first + 2] = piece_features(np.ascontiguousarray(planar.T), offsets, nearest_m)
+        pieces = piece_features(np.ascontiguousarray(planar.T), offsets, nearest_m)
+        for k, name in enumerate(_PIECE_NAMES):
+            table[:, wanted.columns == _INDEX[name]] = pieces[:, k : k + 1]
     if wanted.hull_points:
-        table[:, _INDEX["hull_point_ratio"]] = hull_point_ratio(points, offsets)
-    return table.take(wanted.columns, axis=1)
+        table[:, wanted.columns == _INDEX["hull_point_ratio"]] = hull_point_ratio(points, offsets)[:, None]
+    return table
 
 
 def compute_spacing(
@@ -115,13 +130,13 @@ def compute_spacing(
 
 def may_wait(names: tuple[str, ...]) -> bool:
     """Whether ``nn_dist_std`` is among the features, and no other one needs the search for neighbours."""
-    wanted = _wanted(names)
+    wanted = wanted_of(names)
     return wanted.neighbours and not wanted.pieces
 
 
 @dataclass(frozen=True)
-class _Wanted:
-    """Columns of the whole table, and which of the costly ones are among them."""
+class Wanted:
+    """Columns of ``ALL_NAMES``, and which of the costly ones are among them."""
 
     columns: np.ndarray
     hull: bool
@@ -131,13 +146,13 @@ class _Wanted:
 
 
 @lru_cache(maxsize=32)
-def _wanted(names: tuple[str, ...]) -> _Wanted:
-    """Raises ``ValueError`` on an unknown name."""
+def wanted_of(names: tuple[str, ...]) -> Wanted:
+    """What is to be computed for these. Raises ``ValueError`` on an unknown name."""
     unknown = sorted(set(names) - _INDEX.keys())
     if unknown:
         raise ValueError(f"unknown feature(s) {unknown}; known: {', '.join(ALL_NAMES)}")
     pieces = any(name in names for name in _PIECE_NAMES)
-    return _Wanted(
+    return Wanted(
         columns=np.array([_INDEX[name] for name in names], np.intp), hull="hull_fill" in names,
         neighbours=pieces or SPACING in names, pieces=pieces, hull_points="hull_point_ratio" in names,
     )  # fmt: skip

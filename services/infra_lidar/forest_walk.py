@@ -162,17 +162,19 @@ def calibrate(shares: np.ndarray, known_x: np.ndarray, known_y: np.ndarray) -> N
 
 
 @kernel
-def likeliest(
-    probabilities: np.ndarray, enough: float, unknown: int, labels: np.ndarray, confidence: np.ndarray
-) -> None:
-    """labels (K,) int64: the likeliest class of each row (K, C) float32, ``unknown`` where it has a probability of less
-    than ``enough``; confidence (K,) float32: that probability."""
-    for k in range(len(probabilities)):
+def decide(
+    shares: np.ndarray, known_x: np.ndarray, known_y: np.ndarray, enough: float, unknown: int, labels: np.ndarray,
+    confidence: np.ndarray,
+) -> None:  # fmt: skip
+    """``calibrate``, then labels (K,) int64: the likeliest class of each row, ``unknown`` where it has a probability of
+    less than ``enough``; confidence (K,) float32: that probability."""
+    calibrate(shares, known_x, known_y)
+    for k in range(len(shares)):
         best = 0
-        for c in range(1, probabilities.shape[1]):
-            if probabilities[k, c] > probabilities[k, best]:
+        for c in range(1, shares.shape[1]):
+            if shares[k, c] > shares[k, best]:
                 best = c
-        confidence[k] = probabilities[k, best]
+        confidence[k] = shares[k, best]
         labels[k] = best if confidence[k] >= enough else unknown
 
 

@@ -22,7 +22,7 @@ END_BIN_M = 0.1
 
 @dataclass(slots=True)
 class Obstacles:
-    """What of a frame is no ground: views into buffers, valid until the next frame.
+    """What of a frame is no ground: ``rest`` and ``points`` are views into buffers, valid until the next frame.
 
     ground: (N,) bool, which of the points that were looked at are ground. rest: (M,) int32 indices, in the whole frame,
     of the points that are inside the limits and not ground. points: (4, M or more) float32, their x, y, z (m, level
@@ -150,18 +150,18 @@ class Ground:
         return Levelled(*self._room_for_rest(n), x=x, y=y, z=z, cell=take("cell", n, np.int16))
 
     def _room_for_rest(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Buffers for what of n points is no ground: ground, rest and points of ``Obstacles``."""
-        take = self.buffers.take
+        """Room for what of n points is no ground: ground, which is kept, rest and points of ``Obstacles``."""
+        take, ground = self.buffers.take, np.empty(n + LINE_FLOATS, np.bool_)[:n]
         room = n + -n % LINE_FLOATS + LINE_FLOATS  # every row begins at a cache line, and has room for a vector more
         points = take("rest_points", 4 * room, np.float32).reshape(4, room)
-        return take("ground", n, np.bool_), take("rest", n, np.int32), points
+        return ground, take("rest", n, np.int32), points
 
 
-def _settings(config: GroundConfig, sectors: int, first_place: float) -> np.record:
-    """The settings as kernels take them: one record of ``SETTINGS``."""
+def _settings(config: GroundConfig, sectors: int, first_place: float) -> np.ndarray:
+    """(1,) ``SETTINGS``: the settings as kernels take them."""
     made = np.zeros(1, kernels.SETTINGS)
     for name in kernels.SETTINGS.names or ():
         if hasattr(config, name):
             made[name] = getattr(config, name)
     made["sectors"], made["first_place"], made["flat"] = sectors, first_place, config.method == "flat"
-    return made[0]
+    return made

@@ -52,13 +52,30 @@ SETTINGS = np.dtype(
 
 @kernel
 def find_ground(  # type: ignore[no-untyped-def]
-    points, T, s, near_m, histogram, fours, number, height, surface, accepted, x, y, z, cell, ground, others, rest
+    points,
+    T,
+    settings,
+    near_m,
+    histogram,
+    fours,
+    number,
+    height,
+    surface,
+    accepted,
+    x,
+    y,
+    z,
+    cell,
+    ground,
+    others,
+    rest,
 ):
     """Level (N, 3+) float32 points, find the road in them, label it, and gather the rest: see the steps.
 
-    s: a record of ``SETTINGS``. surface (rings, sectors, 3), accepted (rings, sectors). Returns (M, returns, those of
+    settings: (1,) ``SETTINGS``. surface (rings, sectors, 3), accepted (rings, sectors). Returns (M, returns, those of
     them closer than near_m).
     """
+    s = settings[0]
     returns, near = level(points, T, s, near_m, histogram, x, y, z, cell)
     cell_heights(histogram, fours, s, number, height)
     fit = height.reshape(accepted.shape)
@@ -71,13 +88,14 @@ def find_ground(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def find_known(sensor, source, T, s, road, ground, others, rest):  # type: ignore[no-untyped-def]
+def find_known(sensor, source, T, settings, road, ground, others, rest):  # type: ignore[no-untyped-def]
     """The same with a road that is known already, for n returns that are planar already, sensor (3, n or more) float32,
     and not counted; their index in the whole frame, source (n,), goes to rest. Returns M.
 
     road (side, side) float32: its height on squares of ``ROAD_CELL_M`` about the origin, NaN outside the limits. That
     is one look-up a point, where the polar grid takes three, and an angle.
     """
+    s = settings[0]
     a, b, c, n, m, flat = sensor[0], sensor[1], sensor[2], len(source), 0, road.reshape(road.size)
     to_x, to_y, to_z, to_height = others[0], others[1], others[2], others[3]
     low, above, lowest = splat(-s.below_m), splat(s.above_m), splat(-s.below_m if s.keep_below else -FAR_M)
@@ -155,10 +173,10 @@ def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-un
 
 
 @kernel
-def look(points, T, s, x, y, z, cell, number):  # type: ignore[no-untyped-def]
+def look(points, T, settings, x, y, z, cell, number):  # type: ignore[no-untyped-def]
     """Rotate and shift points as ``level`` does, but count no heights: number (cells,) is 1 where there is a point."""
     n, width = points.shape
-    flat, grid = points.reshape(points.size), _polar_grid(s)
+    flat, grid = points.reshape(points.size), _polar_grid(settings[0])
     for start in range(0, n, BLOCK):
         source, begin = whole_block(flat, width, start, n)
         for i in range(0, min(BLOCK, n - start), LANES):

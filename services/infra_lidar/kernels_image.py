@@ -96,10 +96,12 @@ def locate_image(range_m, first, cell, squared):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def sift_image(range_m, cos, sin, bank, beams, first, packed, near_m, source, fresh):  # type: ignore[no-untyped-def]
+def sift_image(range_m, cos, sin, bank, beams, columns, packed, near_m, source, fresh):  # type: ignore[no-untyped-def]
     """Part returns that were always there from the rest, as ``kernels_background.sift`` does; a row has a multiple of
-    LANES ranges. first (R,) as ``locate_rows`` says. Returns (M, returns, returns nearer than near_m)."""
+    LANES ranges. Returns (M, returns, returns nearer than near_m)."""
     rows, width = range_m.shape
+    first = np.empty(rows + LANES, np.int32)
+    locate_rows(cos, sin, bank, width, columns, first)
     flat, one, other, near_m2, m = range_m.reshape(range_m.size), packed[0], packed[1], near_m * near_m, 0
     returns, near = splat(np.int32(0)), splat(np.int32(0))
     fresh_x, fresh_y, fresh_z = fresh[0], fresh[1], fresh[2]

@@ -33,16 +33,19 @@ MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by: they can on
 
 
 @kernel
-def find_clusters(points, m, source, s, look, ints, floats, grid, touched, row_start):  # type: ignore[no-untyped-def]
+def find_clusters(  # type: ignore[no-untyped-def]
+    points, m, source, settings, look, ints, floats, grid, touched, row_start
+):
     """Clusters of m points (4, m or more) float32, x, y, z and height above the road, with index ``source`` (m,) in the
     frame.
 
-    s: a record of ``SETTINGS``; look: one of ``LOOK`` for the article's second look, which goes by all points, else
-    None. ints (INTS, m + 1 or more) int32 and floats (FLOATS, m or more) float32 are scratch, with room for a vector
-    more; grid, touched and row_start as in ``kernels_labels``.
+    settings: (1,) ``SETTINGS``; look: a record of ``LOOK`` for the article's second look, which goes by all points,
+    else None. ints (INTS, m + 1 or more) int32 and floats (FLOATS, m or more) float32 are scratch, with room for a
+    vector more; grid, touched and row_start as in ``kernels_labels``.
     Returns copies, see ``ClusterPoints``: planar (3, S) float32, with room for a vector behind it, offsets (K + 1,)
     int32, members (T,) int32, member_offsets (K + 1,) int32, box (K, 8) float32.
     """
+    s = settings[0]
     # Components of cells that are occupied as low as a body; what is higher joins tall ones, or is on its own
     begin, label, across = ints[0], ints[1], ints[2]
     runs, components = _components(

@@ -106,7 +106,7 @@ class InfraLidarPipeline:
         features, index, confidence, probabilities = self.classifier.recognise(
             found.points, found.offsets, road_z_m, self._buffers, found.counts
         )
-        index[self.scene.structural(parted, found, road_z_m)] = BACKGROUND
+        np.copyto(index, BACKGROUND, where=self.scene.structural(parted, found, road_z_m))
         return ClusterSet(
             classes=index, confidences=confidence, probabilities=probabilities, boxes=found.box[:, :7],
             features=features, offsets=found.member_offsets, members=found.members, ground_z_m=road_z_m,

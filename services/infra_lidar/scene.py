@@ -136,7 +136,7 @@ class Scene:
         frame = self.ground.remove(points, calibration.T_level_sensor)
         self._look_after(stamp_ns, sample_of(returns, WATCH_EVERY), frame)
         seen = Seen(len(points), frame.returns, frame.near, self._beam_count, self._sector_count)
-        return Parted(frame, seen, None, frame.ground.copy())
+        return Parted(frame, seen, None, frame.ground)
 
     def _rest(self, stamp_ns: int, returns: Returns, sifted: Sifted, calibration: Calibration) -> Parted:
         assert self.background.model is not None
@@ -147,8 +147,8 @@ class Scene:
             sifted.fresh, sifted.source, calibration.T_level_sensor, self.background.model.surface
         )
         seen = Seen(len(returns), sifted.returns, sifted.near, self._beam_count, self._sector_count)
-        known = Known(returns, self.background.model, sifted.source.copy())
-        return Parted(found, seen, known, found.ground.copy())
+        known = Known(returns, self.background.model, sifted.source)
+        return Parted(found, seen, known, found.ground)
 
     def _look_after(self, stamp_ns: int, sample: np.ndarray, frame: Levelled) -> None:
         """Count the beams of a sample and the directions of a frame or of the sample, and watch for a nudge."""

@@ -26,7 +26,6 @@ from services.infra_lidar.classes import CLASSES
 from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
-from services.infra_lidar.features import compute_features
 from services.infra_lidar.ground import Obstacles
 from services.infra_lidar.kernels_returns import beams_seen
 from services.infra_lidar.pipeline import InfraLidarPipeline
@@ -156,10 +155,9 @@ def compile_features(config: InfraLidarConfig) -> None:
 
 
 def know_people(classifier: Classifier) -> None:
-    """Two people by all features, and by no more than their classes hang on."""
+    """Two people."""
     people, road_z_m = two_people(), np.zeros(2, np.float32)
-    classifier.classify(compute_features(people.points, people.offsets, road_z_m, classifier.feature_names))
-    classifier.recognise(people.points, people.offsets, road_z_m)
+    classifier.recognise(people.points, people.offsets, road_z_m, counts=people.counts)
 
 
 def compile_packets(config: InfraLidarConfig) -> None:
