@@ -26,6 +26,7 @@ from services.infra_lidar.classes import CLASSES
 from services.infra_lidar.classifier import Classifier
 from services.infra_lidar.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
+from services.infra_lidar.features import compute_spacing, may_wait
 from services.infra_lidar.ground import Obstacles
 from services.infra_lidar.kernels_returns import beams_seen
 from services.infra_lidar.pipeline import InfraLidarPipeline
@@ -155,9 +156,11 @@ def compile_features(config: InfraLidarConfig) -> None:
 
 
 def know_people(classifier: Classifier) -> None:
-    """Two people."""
+    """Two people, and how evenly their points are spaced, if a class can hang on that: theirs may not."""
     people, road_z_m = two_people(), np.zeros(2, np.float32)
     classifier.recognise(people.points, people.offsets, road_z_m, counts=people.counts)
+    if may_wait(classifier.feature_names):
+        compute_spacing(people.points, people.offsets, np.arange(2))
 
 
 def compile_packets(config: InfraLidarConfig) -> None:
