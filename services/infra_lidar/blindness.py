@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from services.infra_lidar.config import BlindnessConfig
+import numpy as np
 
-_Counted = tuple[int, int, int, int, float, int, int, bool]  # of a frame: as ``_Typical``, ms, packets, lost, partial
+from services.infra_lidar.config import BlindnessConfig
+from services.infra_lidar.jit import kernel
+from services.infra_lidar.ordering import sort_rising
+
 _Typical = tuple[float, float, float, float]  # returns, near ones, beams, sectors
 USUAL_GAIN = 0.02  # how fast "usual" follows good frames
+MEDIANS, SUMS = 5, 3  # of what is counted of a frame: as ``_Typical``, and ms; packets, lost ones, and whether partial
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,9 @@ class FrameQuality:
     packets_lost: int = 0
     complete: bool = True
     dropped_frames: int = 0
+
+
+_FINE = FrameQuality()
 
 
 @dataclass(frozen=True)
@@ -40,25 +45,28 @@ class BlindnessWatch:
 
     def __init__(self, config: BlindnessConfig) -> None:
         self._config = config
-        self._recent: deque[_Counted] = deque(maxlen=config.window_frames)
+        self._recent = np.zeros((config.window_frames, MEDIANS + SUMS))
+        self._frames = 0
         self._usual: _Typical | None = None
 
     def judge(
         self, seen: Seen, quality: FrameQuality | None, total_ms: float, complaint: str
     ) -> tuple[Literal["online", "degraded"], str]:
         """State and reason after this frame; ``complaint`` is what calibration has to say."""
-        quality = quality or FrameQuality()
-        self._recent.append((
+        quality = quality or _FINE
+        self._recent[self._frames % len(self._recent)] = (
             seen.returns, seen.near, seen.beams, seen.sectors, total_ms, quality.packets, quality.packets_lost,
             not quality.complete,
-        ))  # fmt: skip
-        returns, near, beams, sectors, spent_ms, packets, lost, partial = zip(*self._recent, strict=True)
-        now = _median(returns), _median(near), _median(beams), _median(sectors)
+        )  # fmt: skip
+        self._frames += 1
+        of_window = _medians_and_sums(self._recent[: self._frames])
+        returns, near, beams, sectors, spent_ms, packets, lost, partial = of_window
+        now = returns, near, beams, sectors
         reasons = [complaint] if complaint else []
         reasons += self._sight(now)
         if not reasons:
             self._learn(now)
-        reasons += self._losses(sum(packets), sum(lost), sum(partial), _median(spent_ms))
+        reasons += self._losses(packets, lost, partial, spent_ms)
         return ("degraded", "; ".join(reasons)) if reasons else ("online", "")
 
     def _sight(self, now: _Typical) -> list[str]:
@@ -79,12 +87,12 @@ class BlindnessWatch:
             reasons.append(f"{usual_sectors - sectors:.0f} of {usual_sectors:.0f} directions are covered")
         return reasons
 
-    def _losses(self, packets: int, lost: int, partial: int, slow_ms: float) -> list[str]:
-        config, reasons = self._config, []
+    def _losses(self, packets: float, lost: float, partial: float, slow_ms: float) -> list[str]:
+        config, reasons, frames = self._config, [], min(self._frames, len(self._recent))
         if lost > config.max_packet_loss_share * max(packets + lost, 1):
             reasons.append(f"{lost / (packets + lost):.1%} of the packets are lost")
-        if partial * 2 > len(self._recent):
-            reasons.append(f"{partial} of the last {len(self._recent)} revolutions are incomplete")
+        if partial * 2 > frames:
+            reasons.append(f"{partial:.0f} of the last {frames} revolutions are incomplete")
         if slow_ms > config.budget_ms:
             reasons.append(f"processing takes {slow_ms:.0f} ms a frame, {config.budget_ms:g} are allowed")
         return reasons
@@ -96,7 +104,17 @@ class BlindnessWatch:
         self._usual = a, b, c, d
 
 
-def _median(values: Sequence[float]) -> float:
-    """As of ``statistics``, but quick: it is asked for five times a frame."""
-    ordered, middle = sorted(values), len(values) // 2
-    return ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2
+@kernel
+def _medians_and_sums(counted: np.ndarray) -> tuple[float, ...]:
+    """What is counted of frames (n, 8): the medians of the first five columns and the sums of the others."""
+    n, column = len(counted), np.empty(len(counted))
+    told = np.zeros(MEDIANS + SUMS)
+    for k in range(MEDIANS):
+        for i in range(n):
+            column[i] = counted[i, k]
+        sort_rising(column)
+        told[k] = 0.5 * (column[(n - 1) // 2] + column[n // 2])
+    for i in range(n):
+        for k in range(MEDIANS, MEDIANS + SUMS):
+            told[k] += counted[i, k]
+    return told[0], told[1], told[2], told[3], told[4], told[5], told[6], told[7]

@@ -8,6 +8,7 @@ the same cell would break a car. Cells are filled by points up to the height of 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -43,7 +44,7 @@ class ClusterPoints:
         """(S, 3) float32, the points that tell the shapes, row by row."""
         return self.planar.T
 
-    @property
+    @cached_property
     def counts(self) -> np.ndarray:
         """(K,) points per cluster."""
         return self.member_offsets[1:] - self.member_offsets[:-1]

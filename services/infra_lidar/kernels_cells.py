@@ -67,16 +67,16 @@ def _cell(x, y, per_m, growth, side):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def lie_within(drawn, planar, offsets, ground_z, body_m, per_m, growth, min_share, within):  # type: ignore[no-untyped-def]
-    """within (K,) bool: clusters of which ``min_share`` of the points or more are on a map, below and above ``body_m``
-    over the road, ground_z (K,) float32.
+def mark_within(drawn, planar, offsets, ground_z, body_m, per_m, growth, min_share, as_, classes):  # type: ignore[no-untyped-def]
+    """Write ``as_`` into classes (K,) for clusters of which ``min_share`` of the points or more are on a map, below and
+    above ``body_m`` over the road, ground_z (K,) float32.
 
     drawn (2, side, words) int32: a bit for each cell, the lower ones first. planar (3, M) float32, with room for a
     vector behind it, and offsets (K + 1,): the clusters' points, as in ``ClusterPoints``.
     """
     _, side, words = drawn.shape
     x, y, z, flat = planar[0], planar[1], planar[2], drawn.reshape(drawn.size)
-    for k in range(len(within)):
+    for k in range(len(classes)):
         first, last = offsets[k], offsets[k + 1]
         top, hits = splat(ground_z[k] + body_m), splat(np.int32(0))
         for i in range(first, last, LANES):
@@ -85,4 +85,5 @@ def lie_within(drawn, planar, offsets, ground_z, body_m, per_m, growth, min_shar
             word = gather(flat, row * np.int32(words) + (column >> np.int32(5)))
             hit = (word >> (column & np.int32(31))) & np.int32(1)
             hits += select(lanes() < np.int32(last - i), hit, np.int32(0))
-        within[k] = lane_sum(hits) >= min_share * (last - first)
+        if lane_sum(hits) >= min_share * (last - first):
+            classes[k] = as_

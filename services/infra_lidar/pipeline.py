@@ -19,6 +19,7 @@ from services.infra_lidar.range_image import RangeImage, Returns
 from services.infra_lidar.result import ClusterSet, FrameResult
 from services.infra_lidar.scene import Parted, Scene
 from services.infra_lidar.tracking import MultiObjectTracker, records_of
+from services.infra_lidar.tracking_filter import DETECTION
 
 _IDENTITY = np.eye(4)
 
@@ -106,10 +107,11 @@ class InfraLidarPipeline:
         features, index, confidence, probabilities = self.classifier.recognise(
             found.points, found.offsets, road_z_m, self._buffers, found.counts
         )
-        np.copyto(index, BACKGROUND, where=self.scene.structural(parted, found, road_z_m))
+        self.scene.mark_structure(parted, found, road_z_m, index)
         return ClusterSet(
             classes=index, confidences=confidence, probabilities=probabilities, boxes=found.box[:, :7],
-            features=features, offsets=found.member_offsets, members=found.members, ground_z_m=road_z_m,
+            features=features, offsets=found.member_offsets, members=found.members, counts=found.counts,
+            ground_z_m=road_z_m,
         )  # fmt: skip
 
     def _seen(self, clusters: ClusterSet, found: ClusterPoints, T_map_level: np.ndarray) -> np.ndarray:
@@ -118,8 +120,9 @@ class InfraLidarPipeline:
         if self.config.tracking.boxes == "centroid":
             box = np.hstack((found.means, box[:, 3:]))
         return records_of(
-            box, clusters.classes, clusters.confidences, clusters.counts, clusters.probabilities, T_map_level
-        )
+            box, clusters.classes, clusters.confidences, clusters.counts, clusters.probabilities, T_map_level,
+            self._buffers.take("seen", len(box), DETECTION),
+        )  # fmt: skip
 
     def _map_from_level(self, calibration: Calibration) -> np.ndarray:
         """Identity without a surveyed pose: then the map is the road plane at the pole's foot."""

@@ -27,8 +27,8 @@ class ClusterSet:
 
     classes: (K,) int, index into ``LABELS``. confidences: (K,) of that class, probabilities: (K, C). boxes: (K, 7)
     float32: centre x, y, z, length, width, height (m) and yaw (rad). features: (K, F) float32. offsets: (K + 1,) and
-    members (M,): the points of cluster k are ``members[offsets[k]:offsets[k + 1]]`` of the frame's. ground_z_m: (K,)
-    height of the local road.
+    members (M,): the points of cluster k are ``members[offsets[k]:offsets[k + 1]]`` of the frame's, counts (K,) in
+    number. ground_z_m: (K,) height of the local road.
     """
 
     classes: np.ndarray
@@ -38,6 +38,7 @@ class ClusterSet:
     features: np.ndarray
     offsets: np.ndarray
     members: np.ndarray
+    counts: np.ndarray
     ground_z_m: np.ndarray
 
     def __len__(self) -> int:
@@ -47,11 +48,6 @@ class ClusterSet:
     def labels(self) -> list[str]:
         """K class names."""
         return [LABELS[i] for i in self.classes]
-
-    @cached_property
-    def counts(self) -> np.ndarray:
-        """(K,) points."""
-        return self.offsets[1:] - self.offsets[:-1]
 
 
 @dataclass(frozen=True)

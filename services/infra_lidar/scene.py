@@ -12,6 +12,7 @@ from services.infra_lidar.blindness import Seen
 from services.infra_lidar.buffers import Buffers
 from services.infra_lidar.calibration import Calibration
 from services.infra_lidar.calibration_keeper import CalibrationKeeper
+from services.infra_lidar.classes import BACKGROUND
 from services.infra_lidar.clustering import ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.ground import Ground, Levelled, Obstacles
@@ -108,12 +109,12 @@ class Scene:
             return np.zeros(len(returns), bool)
         return Known(returns, self.background.model, sifted.source).mask
 
-    def structural(self, parted: Parted, found: ClusterPoints, ground_z_m: np.ndarray) -> np.ndarray:
-        """(K,) bool: clusters of a sifted frame that lie within fixed structure; none of a whole frame do."""
+    def mark_structure(self, parted: Parted, found: ClusterPoints, ground_z_m: np.ndarray, classes: np.ndarray) -> None:
+        """Call clusters of a sifted frame that lie within fixed structure background, in classes (K,) int64; of a whole
+        frame none do."""
         model = self.background.model
-        if not parted.sifted or model is None or not model.structure.size:
-            return np.zeros(len(found), bool)
-        return self._structure.inside(model.structure, found, ground_z_m)
+        if parted.sifted and model is not None and model.structure.size:
+            self._structure.mark(model.structure, found, ground_z_m, BACKGROUND, classes)
 
     def restart(self) -> None:
         """Forget the background: the sensor has been moved or turned."""

@@ -13,7 +13,7 @@ from services.infra_lidar.cells import CellGrid
 from services.infra_lidar.clustering import ClusterPoints
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.ground import Obstacles
-from services.infra_lidar.kernels_cells import lie_within
+from services.infra_lidar.kernels_cells import mark_within
 
 MIN_SHARE = 0.6
 
@@ -45,11 +45,11 @@ class StructureMap:
                 wide |= np.roll(drawn, step, axis)
         return np.packbits(wide, axis=2, bitorder="little").view("<i4").astype(np.int32)
 
-    def inside(self, drawn: np.ndarray, found: ClusterPoints, ground_z_m: np.ndarray) -> np.ndarray:
-        """(K,) bool: clusters that lie within the structure."""
-        within = np.empty(len(found), bool)
-        lie_within(
+    def mark(
+        self, drawn: np.ndarray, found: ClusterPoints, ground_z_m: np.ndarray, as_: int, classes: np.ndarray
+    ) -> None:
+        """Write ``as_`` into classes (K,) int64 for clusters that lie within the structure."""
+        mark_within(
             drawn, found.planar, found.offsets, ground_z_m, self._body_m, self._grid.per_m, self._grid.growth_per_m,
-            MIN_SHARE, within,
+            MIN_SHARE, as_, classes,
         )  # fmt: skip
-        return within

@@ -75,17 +75,17 @@ class Detections:
         chances = _NO_CHANCES if self.probabilities is None else np.ascontiguousarray(self.probabilities, np.float64)
         box = np.column_stack((self.position_m, self.size_m, self.yaw_rad)).astype(np.float64)
         confidence, T = (np.ascontiguousarray(a, np.float64) for a in (self.confidence, self.T_map_source))
-        return records_of(box, np.ascontiguousarray(label, np.int64), confidence, points, chances, T)
+        made = np.empty(len(box), DETECTION)
+        return records_of(box, np.ascontiguousarray(label, np.int64), confidence, points, chances, T, made)
 
 
 def records_of(
     box: np.ndarray, labels: np.ndarray, confidence: np.ndarray, points: np.ndarray, probabilities: np.ndarray,
-    T_map_source: np.ndarray,
+    T_map_source: np.ndarray, made: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """(K,) ``DETECTION`` of boxes (K, 7 or more) in a frame that ``T_map_source`` (4, 4) brings to the map: centre x,
-    y, z, length, width, height (m), yaw (rad). The rest as in ``Detections``, which also checks it; here labels (K,)
-    are indices into ``LABELS``."""
-    made = np.empty(len(box), DETECTION)
+    """Write ``made`` (K,) ``DETECTION``, of boxes (K, 7 or more) in a frame that ``T_map_source`` (4, 4) brings to the
+    map: centre x, y, z, length, width, height (m), yaw (rad). The rest as in ``Detections``, which also checks it; here
+    labels (K,) are indices into ``LABELS``."""
     describe(box, labels, confidence, points, probabilities, T_map_source, made)
     return made
 

@@ -33,6 +33,7 @@ from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.range_image import RangeImage
 from services.infra_lidar.shipped import lay_out_own
 from services.infra_lidar.tracking import MultiObjectTracker, records_of
+from services.infra_lidar.tracking_filter import DETECTION
 from services.infra_lidar.vectors import LANES
 
 log = logging.getLogger(__name__)
@@ -111,15 +112,17 @@ def shared_out(processors: int) -> list[list[str]]:
 
 
 def compile_scene(config: InfraLidarConfig) -> None:
-    """Ground and background, and whether people are part of it, until the pole is looked after again."""
+    """Ground and background, and whether people are part of it, until the pole is looked after again; and blindness."""
     frame, pipeline, people = made_up_frame(), InfraLidarPipeline(config), two_people()
     scene, nobody = pipeline.scene, np.zeros(len(frame), np.float32)
     for k in STEPS:
         stamp_ns = (10 + k) * FRAME_NS
         parted = scene.part(stamp_ns, frame, pipeline.calibration.update(frame))
-        scene.structural(parted, people, scene.ground.road_height(people.box[:, 0], people.box[:, 1]))
+        road_z_m = scene.ground.road_height(people.box[:, 0], people.box[:, 1])
+        scene.mark_structure(parted, people, road_z_m, np.zeros(2, np.int64))
         if not parted.sifted:
             scene.learn(stamp_ns, frame, parted, nobody)
+        pipeline.blindness.judge(parted.seen, None, 0.0, "")
 
 
 def compile_tracks(config: InfraLidarConfig) -> None:
@@ -137,7 +140,8 @@ def follow_people(tracker: MultiObjectTracker) -> None:
         people = np.zeros((len(box), len(CLASSES)), np.float32)
         people[:, CLASSES.index("pedestrian")] = 1.0
         labels, sure = people.argmax(axis=1), np.full(len(box), 0.9, np.float32)
-        seen = records_of(box, labels, sure, np.full(len(box), 50, np.int32), people, np.eye(4))
+        made = np.empty(len(box), DETECTION)
+        seen = records_of(box, labels, sure, np.full(len(box), 50, np.int32), people, np.eye(4), made)
         tracker.step((10 + k) * FRAME_NS, seen)
         tracker.told()
 

@@ -25,10 +25,18 @@ def _solid(x, y, length, width, low, high, n, seed=0):
     return rng.uniform([x - length / 2, y - width / 2, low], [x + length / 2, y + width / 2, high], (n, 3))
 
 
+def _inside(config, drawn, found, road_z_m):
+    classes = np.arange(10, 10 + len(found))
+    StructureMap(config, 100.0).mark(drawn, found, road_z_m, 3, classes)
+    marked = classes == 3
+    assert np.array_equal(classes[~marked], np.arange(10, 10 + len(found))[~marked])
+    return marked
+
+
 def _judge(drawn, part):
     found = Clustering(CONFIG, 100.0).cluster(_frame(part))
     assert len(found) == 1
-    return StructureMap(CONFIG, 100.0).inside(drawn, found, np.zeros(len(found), np.float32))[0]
+    return _inside(CONFIG, drawn, found, np.zeros(len(found), np.float32))[0]
 
 
 HEDGE = _solid(20, 0, 3, 12, 0.2, 2.0, 6000)
@@ -64,7 +72,7 @@ def test_what_was_a_road_user_is_not_drawn():
 
 def test_no_clusters():
     found = Clustering(CONFIG, 100.0).cluster(_frame(np.zeros((0, 3))))
-    assert StructureMap(CONFIG, 100.0).inside(_drawn(), found, np.zeros(0, np.float32)).shape == (0,)
+    assert _inside(CONFIG, _drawn(), found, np.zeros(0, np.float32)).shape == (0,)
 
 
 @pytest.mark.parametrize("growth_m", [0.0, 30.0])
@@ -88,7 +96,7 @@ def test_a_cluster_is_within_if_enough_of_its_points_are_on_marked_cells(growth_
     layer = (z >= np.repeat(road_z_m + body_m, counts)).astype(int)
     hits = np.add.reduceat(marked[layer, row, column], offsets[:-1])
     found = ClusterPoints(planar, offsets, np.empty(0, np.int32), offsets, np.empty((len(counts), 8), np.float32))
-    within = StructureMap(config, 100.0).inside(drawn, found, road_z_m)
+    within = _inside(config, drawn, found, road_z_m)
     clear = np.abs(hits - MIN_SHARE * counts) > 1.0  # a point on the edge of a cell may go either way
     assert 0.2 < within[clear].mean() < 0.8
     np.testing.assert_array_equal(within[clear], (hits >= MIN_SHARE * counts)[clear])
