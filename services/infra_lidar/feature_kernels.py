@@ -2,8 +2,7 @@
 
 One cluster at a time is copied into planar scratch arrays about its mean (float32 stays exact to micrometres inside a
 cluster), with places for whole vectors: those behind the last point hold 0, the mean, which changes no sum of squares
-and no extent. Ranks come from the counts of 256 height bins, followed by a selection inside the one bin that holds the
-rank: exact, and linear in the points.
+and no extent.
 
 Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
 """
@@ -18,11 +17,9 @@ import numpy as np
 from services.infra_lidar.extremes import in_turn
 from services.infra_lidar.feature_hull import hull_fill
 from services.infra_lidar.jit import inline, inner, kernel
-from services.infra_lidar.ordering import sort_rising
 from services.infra_lidar.vectors import (
     LANES,
     fma,
-    lane_count,
     lane_max,
     lane_min,
     lane_sum,
@@ -34,7 +31,6 @@ from services.infra_lidar.vectors import (
     smaller,
     splat,
     store,
-    store_chosen,
     whole,
 )
 
@@ -75,7 +71,7 @@ def cluster_features(
             return False
         largest = max(largest, offsets[k + 1] - offsets[k])
     size = (largest // LANES + 2) * LANES
-    scratch, bins, row = np.empty((6, size), np.float32), np.empty(size, np.uint8), np.empty(_WIDTH, np.float32)
+    scratch, bins, row = np.empty((5, size), np.float32), np.empty(size, np.uint8), np.empty(_WIDTH, np.float32)
     for k in range(len(offsets) - 1):
         first, last = offsets[k], offsets[k + 1]
         mx, my = centred(planar[0, first:last], scratch[0]), centred(planar[1, first:last], scratch[1])
@@ -116,7 +112,7 @@ def _one_cluster(
     scratch: np.ndarray, bins: np.ndarray, n: int, count: int, mx: float, my: float, base: float, hull: bool,
     row: np.ndarray,
 ) -> None:  # fmt: skip
-    """scratch (6, n or more): x, y, z about the mean, and room for three more; ``count`` points the n stand for;
+    """scratch (5, n or more): x, y, z about the mean, and room for two more; ``count`` points the n stand for;
     ``base`` is the mean's height."""
     z, u, v = scratch[2], scratch[3], scratch[4]
     cxx, cyy, czz, cxy, cxz, cyz, z_low, z_high = _moments(scratch[0], scratch[1], z, n)
@@ -130,7 +126,7 @@ def _one_cluster(
     row[5] = count / solid if solid > 1e-6 else 0.0
     row[8], row[9] = math.sqrt(czz), ratio
     _eigen_columns(cxx, cyy, czz, cxy, cxz, cyz, row)
-    _rank_columns(z, n, z_low, tall, base, scratch[5], bins, row)
+    _rank_columns(z, n, z_low, tall, base, bins, row)
     _slice_columns(u, v, z, n, z_low, z_high, row)
     row[21], row[22], row[23] = length, width, area * tall
     row[31], row[32] = base + z_low, base + z_high
@@ -205,38 +201,26 @@ def _eigen_columns(cxx: float, cyy: float, czz: float, cxy: float, cxz: float, c
 
 @inner
 def _rank_columns(
-    z: np.ndarray, n: int, low: float, tall: float, base: float, work: np.ndarray, bins: np.ndarray, row: np.ndarray
+    z: np.ndarray, n: int, low: float, tall: float, base: float, bins: np.ndarray, row: np.ndarray
 ) -> None:
-    """Height percentiles, the rank below (no interpolation), relative to the ground."""
+    """Height percentiles, relative to the ground, from the counts of 256 bins, in which heights count as evenly spread:
+    to a 256th of the cluster's height, millimetres where a return is known to centimetres."""
     lowest, per_m = splat(np.float32(low)), splat(np.float32((_BINS - 1) / tall if tall > 1e-6 else 0.0))
     for i in range(0, n, LANES):
         store(bins, i, smaller(whole((load(z, i) - lowest) * per_m), np.int32(_BINS - 1)))
     count, quarter = np.zeros(_BINS, np.int32), n // 4
     for i in range(n):
         count[np.uint32(bins[in_turn(i, quarter)])] += 1
-    ranks, b, held, before = np.empty(6, np.float32), -1, 0, 0
+    ranks, b, held, before, bin_m = np.empty(6, np.float32), -1, 0, 0, tall / (_BINS - 1)
     for j in range(6):
         k = int(RANKS[j] * (n - 1))
-        if k >= before + held:
-            while k >= before + held:
-                b, before = b + 1, before + held
-                held = count[b]
-            _keep_bin(z, bins, n, b, work)
-            sort_rising(work[:held])
-        ranks[j] = work[k - before]
+        while k >= before + held:
+            b, before = b + 1, before + held
+            held = count[b]
+        ranks[j] = low + min((b + (k - before + 0.5) / held) * bin_m, tall)
     row[6], row[24], row[7] = base + ranks[2], base + ranks[3], base + ranks[4]
     row[20] = ranks[5] - ranks[0]
     row[30] = (ranks[1] - ranks[0]) / tall if tall > 1e-6 else 0.0
-
-
-@inline
-def _keep_bin(z, bins, n, wanted, kept):  # type: ignore[no-untyped-def]
-    """Copy the heights of bin ``wanted``."""
-    m = 0
-    for i in range(0, n, LANES):
-        here = (load(bins, i) == np.int32(wanted)) & (lanes() < np.int32(n - i))
-        store_chosen(kept, m, load(z, i), here)
-        m += lane_count(here)
 
 
 @inner

@@ -94,36 +94,39 @@ def _arrange(  # type: ignore[no-untyped-def]
         first = begin[begins[r]]
         n, to = begin[begins[r + 1]] - first, slot[k]
         slot[k] += n
-        end, i = offsets[k + 1], 0
-        while i < n and to + i + LANES <= end:  # whole vectors: the next span writes over what is too much
-            store(there_source, to + i, load(source, first + i))
-            i += LANES
-        while i < n:
-            there_source[to + i] = source[first + i]
-            i += 1
         seen, wanted = to - offsets[k], shape[k + 1] - shape[k]
-        if wanted == end - offsets[k]:
-            _copy(points, first, n, there, shape[k] + seen, shape[k + 1])
+        if wanted == offsets[k + 1] - offsets[k]:
+            _copy(points, source, first, n, there, there_source, shape[k] + seen, to, offsets[k + 1])
         else:
+            i, end = 0, offsets[k + 1]
+            while i < n and to + i + LANES <= end:
+                store(there_source, to + i, load(source, first + i))
+                i += LANES
+            while i < n:
+                there_source[to + i] = source[first + i]
+                i += 1
             drawn[k] = _draw(points, first, n, seen, step[k], wanted, there, shape[k], drawn[k])
 
 
 @inner
-def _copy(points, first, n, there, to, end):  # type: ignore[no-untyped-def]
-    """Copy n points (4, N) from ``first`` on to there (4, S) from ``to`` on; nothing else is there before ``end``."""
+def _copy(points, source, first, n, there, there_source, to, source_to, end):  # type: ignore[no-untyped-def]
+    """Copy n points (4, N) from ``first`` on to there (4, S) from ``to`` on, and their ``source`` from ``source_to``
+    on; nothing else is there yet before ``end``."""
     x, y, z, above = points[0], points[1], points[2], points[3]
     there_x, there_y, there_z, there_above = there[0], there[1], there[2], there[3]
-    i = 0
-    while i < n and to + i + LANES <= end:
+    i, last = 0, end - source_to - LANES
+    while i < n and i <= last:  # whole vectors: the next span writes over what is too much
         a, b = first + i, to + i
+        store(there_source, source_to + i, load(source, a))
         store(there_x, b, load(x, a))
         store(there_y, b, load(y, a))
         store(there_z, b, load(z, a))
         store(there_above, b, load(above, a))
         i += LANES
     while i < n:
-        for row in range(4):
-            there[row, to + i] = points[row, first + i]
+        a, b = np.uint32(first + i), np.uint32(to + i)
+        there_source[np.uint32(source_to + i)] = source[a]
+        there_x[b], there_y[b], there_z[b], there_above[b] = x[a], y[a], z[a], above[a]
         i += 1
 
 
