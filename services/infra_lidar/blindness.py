@@ -100,8 +100,8 @@ class BlindnessWatch:
     def _learn(self, now: _Typical) -> None:
         if self._usual is None:
             self._usual = now
-        a, b, c, d = (old + USUAL_GAIN * (new - old) for old, new in zip(self._usual, now, strict=True))
-        self._usual = a, b, c, d
+        (a, b, c, d), (e, f, g, h), gain = self._usual, now, USUAL_GAIN
+        self._usual = a + gain * (e - a), b + gain * (f - b), c + gain * (g - c), d + gain * (h - d)
 
 
 @kernel

@@ -32,23 +32,15 @@ THIRD, FIFTH, SEVENTH, NINTH = (np.float32(1.0 / odd) for odd in (3, 5, 7, 9))
 
 
 @inner
-def grid_cells(x, y, per_m, growth, side, row, column):  # type: ignore[no-untyped-def]
-    """Cell of each point (N,) float32 on a side x side grid centred on the origin; row, column (N,) int32 written."""
-    n = len(x)
-    rest = n - n % LANES
-    for i in range(0, rest, LANES):
-        r, c = _cell(load(x, i), load(y, i), per_m, growth, side)
-        store(row, i, r)
-        store(column, i, c)
-    if rest < n:
-        last, cells = np.zeros((2, LANES), np.float32), np.zeros((2, LANES), np.int32)
-        for i in range(rest, n):
-            last[0, i - rest], last[1, i - rest] = x[i], y[i]
-        r, c = _cell(load(last[0], 0), load(last[1], 0), per_m, growth, side)
-        store(cells[0], 0, r)
-        store(cells[1], 0, c)
-        for i in range(rest, n):
-            row[i], column[i] = cells[0, i - rest], cells[1, i - rest]
+def cell_keys(points, n, body_m, per_m, growth, side, words, key):  # type: ignore[no-untyped-def]
+    """key (n,) int32 of points (4, n or more) float32, x, y, z and height above the road; both have room for a vector
+    more. It is twice the number of the bit of a point's cell on a side x side grid, rows of ``words`` of 64 one after
+    the other, and one more if the point is lower than ``body_m``: then it fills the cell."""
+    x, y, above = points[0], points[1], points[3]
+    for i in range(0, n, LANES):
+        row, column = _cell(load(x, i), load(y, i), per_m, growth, side)
+        bit = row * np.int32(64 * words) + column
+        store(key, i, bit + bit + ones(load(above, i) < body_m))
 
 
 @inline
@@ -67,9 +59,12 @@ def _cell(x, y, per_m, growth, side):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def mark_within(drawn, planar, offsets, ground_z, body_m, per_m, growth, min_share, as_, classes):  # type: ignore[no-untyped-def]
+def mark_within(  # type: ignore[no-untyped-def]
+    drawn, planar, offsets, ground_z, body_m, per_m, growth, enough, min_share, as_, classes
+):
     """Write ``as_`` into classes (K,) for clusters of which ``min_share`` of the points or more are on a map, below and
-    above ``body_m`` over the road, ground_z (K,) float32.
+    above ``body_m`` over the road, ground_z (K,) float32. Of a large cluster hardly more than ``enough`` points are
+    asked, evenly drawn.
 
     drawn (2, side, words) int32: a bit for each cell, the lower ones first. planar (3, M) float32, with room for a
     vector behind it, and offsets (K + 1,): the clusters' points, as in ``ClusterPoints``.
@@ -78,12 +73,13 @@ def mark_within(drawn, planar, offsets, ground_z, body_m, per_m, growth, min_sha
     x, y, z, flat = planar[0], planar[1], planar[2], drawn.reshape(drawn.size)
     for k in range(len(classes)):
         first, last = offsets[k], offsets[k + 1]
-        top, hits = splat(ground_z[k] + body_m), splat(np.int32(0))
-        for i in range(first, last, LANES):
+        top, hits, asked = splat(ground_z[k] + body_m), splat(np.int32(0)), 0
+        for i in range(first, last, LANES * (1 + (last - first) // enough)):
             row, column = _cell(load(x, i), load(y, i), per_m, growth, side)
             row += ones(load(z, i) >= top) * np.int32(side)
             word = gather(flat, row * np.int32(words) + (column >> np.int32(5)))
             hit = (word >> (column & np.int32(31))) & np.int32(1)
             hits += select(lanes() < np.int32(last - i), hit, np.int32(0))
-        if lane_sum(hits) >= min_share * (last - first):
+            asked += min(LANES, last - i)
+        if lane_sum(hits) >= min_share * asked:
             classes[k] = as_

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, inner, kernel
-from services.infra_lidar.kernels_cells import grid_cells
+from services.infra_lidar.kernels_cells import cell_keys
 from services.infra_lidar.kernels_runs import find_runs
 from services.infra_lidar.vectors import bit_count, first_bit
 
@@ -40,13 +40,11 @@ def label_points(  # type: ignore[no-untyped-def]
     points (4, n or more) float32: x, y, z, height above the road; those lower than ``body_m`` fill the cells.
     per_m, growth: as in ``kernels_cells``. two_points: a cell needs two to be occupied; eight: cells that touch at a
     corner are neighbours. grid (side, words, 4) uint64 and touched (side, words of bits of words) uint64 are as this
-    function left them, or 0. row_start (side + 1,) int32 and scratch (5, n + 1 or more) int32 are overwritten, scratch
+    function left them, or 0. row_start (side + 1,) int32 and scratch (4, n + 1 or more) int32 are overwritten, scratch
     with room for a vector more in every row.
     """
     key, parent, first, last = scratch[0, :n], scratch[1], scratch[2], scratch[3]
-    grid_cells(points[0, :n], points[1, :n], per_m, growth, grid.shape[0], key, scratch[4, :n])
-    for i in range(n):
-        key[i] = cell_key(key[i], scratch[4, i], grid.shape[1], points[3, i] < body_m)
+    cell_keys(points, n, body_m, per_m, growth, grid.shape[0], grid.shape[1], key)
     runs = find_runs(key, begin)
     _clear(grid, touched)
     occupy(key, begin, runs, grid, touched)
@@ -56,12 +54,6 @@ def label_points(  # type: ignore[no-untyped-def]
     _measure_across(parent, first, last, row_start, components, across)
     label_runs(key, begin, runs, grid, TWICE if two_points else ONCE, parent, label)
     return runs, components
-
-
-@inline
-def cell_key(row, column, words, fills):  # type: ignore[no-untyped-def]
-    """Number of a cell's bit among all, rows of ``words`` one after the other, and whether a point fills it."""
-    return np.int32(2) * (np.int32(row) * np.int32(64 * words) + np.int32(column)) + np.int32(fills)
 
 
 @inner
@@ -80,7 +72,7 @@ def occupy(key, begin, runs, grid, touched):  # type: ignore[no-untyped-def]
     """Set the bits of cells that one point fills or more, and of those that two fill or more, and of the words that
     hold any.
 
-    key (N,) int32 by ``cell_key``, equal ones in ``runs`` that begin at ``begin``.
+    key (N,) int32 by ``cell_keys``, equal ones in ``runs`` that begin at ``begin``.
     """
     words, flat = grid.shape[1], grid.reshape(grid.size)
     for r in range(runs):

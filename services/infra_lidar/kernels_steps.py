@@ -28,7 +28,7 @@ SETTINGS = np.dtype(
     + [(name, np.bool_) for name in ("two_points", "fragments")]
 )  # fmt: skip
 LOOK = np.dtype([(name, np.bool_) for name in ("trim", "split", "engulf")])
-INTS, FLOATS = 14, 8  # rows of scratch
+INTS, FLOATS = 13, 8  # rows of scratch
 MIN_FRAGMENT_POINTS = 3  # smaller pieces have no shape to judge by: they can only be adopted
 
 
@@ -49,7 +49,7 @@ def find_clusters(  # type: ignore[no-untyped-def]
     # Components of cells that are occupied as low as a body; what is higher joins tall ones, or is on its own
     begin, label, across = ints[0], ints[1], ints[2]
     runs, components = _components(
-        points, m, s.body_m, s, ints[4:9], grid, touched, row_start, begin, label, across
+        points, m, s.body_m, s, ints[4:8], grid, touched, row_start, begin, label, across
     )  # fmt: skip
     if s.body_m < np.inf:
         runs, components = _label_high(points, m, s, runs, components, ints, floats, grid, touched, row_start)
@@ -58,7 +58,7 @@ def find_clusters(  # type: ignore[no-untyped-def]
     scratch, room = ints[3:5], floats.shape[1]
     sets = floats[:4].reshape(4 * room), floats[4:8].reshape(4 * room)
     first, second = (ints[9], ints[10]), (ints[11], ints[12])  # offsets and index in the frame
-    box, shape = np.empty((components, 8), np.float32), ints[13]
+    box, shape = np.empty((components, 8), np.float32), ints[8]
     count, total, copied = regroup(
         begin[: runs + 1], label[:runs], components, s.fewest, s.max_points, across[:components], s.widest, s.enough,
         points, source, scratch, first[0], shape, sets[0], first[1], box,
@@ -121,13 +121,13 @@ def _label_high(points, m, s, runs, components, ints, floats, grid, touched, row
     """
     begin, label, across, of_points, lifted = ints[0], ints[1], ints[2], ints[9], floats[:4]
     spread(begin[: runs + 1], label[:runs], of_points)
-    highs, tops = find_high(points[3], of_points[:m], s.body_m, ints[10], ints[13], ints[11])
-    high, high_label, top_label = ints[10, :highs], ints[13, :highs], ints[11, :tops]
+    highs, tops = find_high(points[3], of_points[:m], s.body_m, ints[10], ints[8], ints[11])
+    high, high_label, top_label = ints[10, :highs], ints[8, :highs], ints[11, :tops]
     tall = tall_ones(_count_points(begin, label[:runs], components, ints[12]), high_label, top_label)
     number = lift(points, of_points, tall, high, high_label, lifted)
     if number > 0:
         runs, found = _components(
-            lifted, number, np.float32(np.inf), s, ints[4:9], grid, touched, row_start, begin, label,
+            lifted, number, np.float32(np.inf), s, ints[4:8], grid, touched, row_start, begin, label,
             across[components:],
         )  # fmt: skip
         spread(begin[: runs + 1], label[:runs], ints[11])

@@ -15,7 +15,7 @@ from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.ground import Obstacles
 from services.infra_lidar.kernels_cells import mark_within
 
-MIN_SHARE = 0.6
+MIN_SHARE, ENOUGH = 0.6, 256
 
 
 class StructureMap:
@@ -51,5 +51,5 @@ class StructureMap:
         """Write ``as_`` into classes (K,) int64 for clusters that lie within the structure."""
         mark_within(
             drawn, found.planar, found.offsets, ground_z_m, self._body_m, self._grid.per_m, self._grid.growth_per_m,
-            MIN_SHARE, as_, classes,
+            ENOUGH, MIN_SHARE, as_, classes,
         )  # fmt: skip
