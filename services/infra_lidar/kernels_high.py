@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.extremes import in_turn
 from services.infra_lidar.jit import inner
+from services.infra_lidar.kernels_runs import find_runs
 from services.infra_lidar.vectors import LANES, gather_listed, lane_count, lanes, load, splat, store, store_chosen
 
 BAND_M = np.float32(0.4)  # something that has points in the top of the body band goes on above it
@@ -38,17 +38,18 @@ def find_high(above, label, body_m, high, high_label, top_label):  # type: ignor
 
 
 @inner
-def tall_ones(number, high_label, top_label):  # type: ignore[no-untyped-def]
+def tall_ones(number, high_label, top_label, spans):  # type: ignore[no-untyped-def]
     """(components + 1,) int32: 1 for labels, counted from -1, that reach the top of the body band.
 
     number (components + 1,) int32: how many points have each label, from which the high ones are taken; high_label
-    (H,) and top_label (T,) int32: labels of the points that are high, or in the top of the band.
+    (H,) and top_label (T,) int32: labels of the points that are high, or in the top of the band. spans int32 is
+    scratch, with room for more than the longer of both by a vector.
     """
-    in_top, quarter = np.zeros(len(number), np.int32), len(high_label) // 4
-    for i in range(len(top_label)):
-        in_top[np.uint32(top_label[i] + np.int32(1))] += 1
-    for i in range(len(high_label)):
-        number[np.uint32(high_label[in_turn(i, quarter)] + np.int32(1))] -= 1
+    in_top = np.zeros(len(number), np.int32)
+    for r in range(find_runs(top_label, spans)):
+        in_top[np.uint32(top_label[spans[r]] + np.int32(1))] += spans[r + 1] - spans[r]
+    for r in range(find_runs(high_label, spans)):
+        number[np.uint32(high_label[spans[r]] + np.int32(1))] -= spans[r + 1] - spans[r]
     for k in range(1, len(number)):
         in_top[k] = (in_top[k] >= FEWEST) & (in_top[k] >= SHARE * number[k])
     in_top[0] = 0

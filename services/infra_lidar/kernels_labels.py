@@ -47,7 +47,7 @@ def label_points(  # type: ignore[no-untyped-def]
     cell_keys(points, n, body_m, per_m, growth, grid.shape[0], grid.shape[1], key)
     runs = find_runs(key, begin)
     _clear(grid, touched)
-    occupy(key, begin, runs, grid, touched)
+    occupy(key, begin, runs, grid, touched, two_points)
     rows = find_rows(grid, touched, TWICE if two_points else ONCE, parent, first, last, row_start)
     join_rows(parent, first, last, row_start, eight)
     components = number_components(parent, rows)
@@ -68,9 +68,9 @@ def _clear(grid, touched):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def occupy(key, begin, runs, grid, touched):  # type: ignore[no-untyped-def]
-    """Set the bits of cells that one point fills or more, and of those that two fill or more, and of the words that
-    hold any.
+def occupy(key, begin, runs, grid, touched, two_points):  # type: ignore[no-untyped-def]
+    """Set the bits of cells that one point fills or more, and of the words that hold any; with ``two_points`` also of
+    those that two fill or more.
 
     key (N,) int32 by ``cell_keys``, equal ones in ``runs`` that begin at ``begin``.
     """
@@ -83,7 +83,8 @@ def occupy(key, begin, runs, grid, touched):  # type: ignore[no-untyped-def]
         if seen == 0:
             row, word = np.uint32(at) // np.uint32(words), np.uint32(at) % np.uint32(words)
             touched[row, word >> np.uint32(6)] |= ONE << np.uint64(word & np.uint32(63))
-        flat[np.uint32(4) * at + np.uint32(TWICE)] |= bit if begin[r + 1] - begin[r] > 1 else seen & bit
+        if two_points:
+            flat[np.uint32(4) * at + np.uint32(TWICE)] |= bit if begin[r + 1] - begin[r] > 1 else seen & bit
         flat[np.uint32(4) * at + np.uint32(ONCE)] = seen | bit
 
 

@@ -123,15 +123,16 @@ def _label_high(points, m, s, runs, components, ints, floats, grid, touched, row
     spread(begin[: runs + 1], label[:runs], of_points)
     highs, tops = find_high(points[3], of_points[:m], s.body_m, ints[10], ints[8], ints[11])
     high, high_label, top_label = ints[10, :highs], ints[8, :highs], ints[11, :tops]
-    tall = tall_ones(_count_points(begin, label[:runs], components, ints[12]), high_label, top_label)
-    number = lift(points, of_points, tall, high, high_label, lifted)
-    if number > 0:
+    number = _count_points(begin, label[:runs], components, ints[12])
+    tall = tall_ones(number, high_label, top_label, ints[12])
+    loose = lift(points, of_points, tall, high, high_label, lifted)
+    if loose > 0:
         runs, found = _components(
-            lifted, number, np.float32(np.inf), s, ints[4:8], grid, touched, row_start, begin, label,
+            lifted, loose, np.float32(np.inf), s, ints[4:8], grid, touched, row_start, begin, label,
             across[components:],
         )  # fmt: skip
         spread(begin[: runs + 1], label[:runs], ints[11])
-        put_down(ints[11], np.int32(components), high[:number], of_points)
+        put_down(ints[11], np.int32(components), high[:loose], of_points)
         components += found
     return _runs(of_points[:m], begin, label), components
 

@@ -15,9 +15,9 @@ BODY_M = np.float32(2.0)
 def _free(points, label, number, lifted, high, high_label, top_label):
     highs, tops = kernels.find_high(points[3], label, BODY_M, high, high_label, top_label)
     high_label, top_label = high_label[:highs], top_label[:tops]
-    return kernels.lift(
-        points, label, kernels.tall_ones(number, high_label, top_label), high[:highs], high_label, lifted
-    )
+    spans = np.empty(len(label) + 2 * LANES, np.int32)
+    tall = kernels.tall_ones(number, high_label, top_label, spans)
+    return kernels.lift(points, label, tall, high[:highs], high_label, lifted)
 
 
 @numba.njit(error_model="numpy")

@@ -30,7 +30,7 @@ def _label(cells, connectivity):
     grid, touched = np.zeros((side, words, 4), np.uint64), np.zeros((side, (words + 63) // 64), np.uint64)
     key, begin = 2 * (row * np.int32(64 * words) + column) + 1, np.zeros(len(row) + 1 + LANES, np.int32)
     keys = find_runs(key, begin)
-    kernels.occupy(key, begin, keys, grid, touched)
+    kernels.occupy(key, begin, keys, grid, touched, False)
     parent, first, last = (np.zeros(len(row) + 1, np.int32) for _ in range(3))
     row_start = np.zeros(side + 1, np.int32)
     runs = kernels.find_rows(grid, touched, kernels.ONCE, parent, first, last, row_start)
@@ -79,7 +79,7 @@ def test_cells_with_two_points_are_told_apart():
     row, column = np.array([0, 0, 1], np.int32), np.array([70, 70, 3], np.int32)
     grid, touched = np.zeros((2, 2, 4), np.uint64), np.zeros((2, 1), np.uint64)
     key, begin = 2 * (row * np.int32(128) + column) + 1, np.zeros(4 + LANES, np.int32)
-    kernels.occupy(key, begin, find_runs(key, begin), grid, touched)
+    kernels.occupy(key, begin, find_runs(key, begin), grid, touched, True)
     assert grid[0, 1, kernels.TWICE] == np.uint64(1 << 6)
     assert grid[1, 0, kernels.TWICE] == 0
     assert touched[:, 0].tolist() == [2, 1]
