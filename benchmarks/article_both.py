@@ -110,7 +110,7 @@ class ArticleByKernels:
             table = compute_features(points, offsets, road_z_m, NAMES, self._buffers)
             labels, confidence, _ = self._classifier.classify(table)
         else:
-            _, labels, confidence, _ = self._classifier.recognise(points, offsets, road_z_m, self._buffers)
+            _, labels, confidence, _ = self._classifier.recognise(found.planar, offsets, road_z_m, self._buffers)
         return labels, confidence
 
 

@@ -54,13 +54,11 @@ class BlindnessWatch:
     ) -> tuple[Literal["online", "degraded"], str]:
         """State and reason after this frame; ``complaint`` is what calibration has to say."""
         quality = quality or _FINE
-        self._recent[self._frames % len(self._recent)] = (
-            seen.returns, seen.near, seen.beams, seen.sectors, total_ms, quality.packets, quality.packets_lost,
-            not quality.complete,
-        )  # fmt: skip
         self._frames += 1
-        of_window = _medians_and_sums(self._recent[: self._frames])
-        returns, near, beams, sectors, spent_ms, packets, lost, partial = of_window
+        returns, near, beams, sectors, spent_ms, packets, lost, partial = _medians_and_sums(
+            self._recent, self._frames, seen.returns, seen.near, seen.beams, seen.sectors, total_ms, quality.packets,
+            quality.packets_lost, not quality.complete,
+        )  # fmt: skip
         now = returns, near, beams, sectors
         reasons = [complaint] if complaint else []
         reasons += self._sight(now)
@@ -105,10 +103,17 @@ class BlindnessWatch:
 
 
 @kernel
-def _medians_and_sums(counted: np.ndarray) -> tuple[float, ...]:
-    """What is counted of frames (n, 8): the medians of the first five columns and the sums of the others."""
-    n, column = len(counted), np.empty(len(counted))
-    told = np.zeros(MEDIANS + SUMS)
+def _medians_and_sums(
+    counted: np.ndarray, frames: int, returns: int, near: int, beams: int, sectors: int, ms: float, packets: int,
+    lost: int, partial: bool,
+) -> tuple[float, ...]:  # fmt: skip
+    """Note the newest of ``frames`` in the ring ``counted`` (window, 8); returns the medians of its first five columns
+    and the sums of the others."""
+    newest = counted[(frames - 1) % len(counted)]
+    newest[0], newest[1], newest[2], newest[3], newest[4] = returns, near, beams, sectors, ms
+    newest[5], newest[6], newest[7] = packets, lost, partial
+    n, told = min(frames, len(counted)), np.zeros(MEDIANS + SUMS)
+    column = np.empty(n)
     for k in range(MEDIANS):
         for i in range(n):
             column[i] = counted[i, k]

@@ -50,13 +50,14 @@ class Classifier:
 
     def recognise(
         self,
-        points: np.ndarray,
+        planar: np.ndarray,
         offsets: np.ndarray,
         ground_z_m: np.ndarray,
         buffers: Buffers | None = None,
         counts: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Features of K clusters (see ``compute_features``) and their classes (see ``classify``).
+        """Features of K clusters (see ``compute_features``), whose points are planar here, (3, M) float32, and their
+        classes (see ``classify``).
 
         Classes are those that ``classify`` finds with all features. Where the spacing of points cannot change the class
         it is not computed: then a typical one stands in its column and in the probabilities.
@@ -65,13 +66,13 @@ class Classifier:
             features (K, F) float32, labels (K,), confidence (K,), probabilities (K, C).
         """
         buffers, counts = buffers or Buffers(), np.diff(offsets) if counts is None else counts
-        x = features_of(points, offsets, counts, ground_z_m, self._wanted, buffers, not self._waits)
+        x = features_of(planar, offsets, counts, ground_z_m, self._wanted, buffers, not self._waits)
         if not self._waits:
             return x, *self.classify(x)
         x[:, self._column] = self._typical
         shares, certain = self.forest.settled(x, self._column, self._min_confidence)
         (open_,) = np.nonzero(~certain)
-        x[open_, self._column] = compute_spacing(points, offsets, open_, buffers)
+        x[open_, self._column] = compute_spacing(planar, offsets, open_, buffers)
         shares[open_] = self.forest.shares(x[open_])
         return x, *self._decide(shares)
 

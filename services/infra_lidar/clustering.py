@@ -8,7 +8,6 @@ the same cell would break a car. Cells are filled by points up to the height of 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -26,14 +25,15 @@ class ClusterPoints:
 
     planar: (3, S) float32 x, y, z, grouped; cluster k has planar[:, offsets[k]:offsets[k + 1]], and behind the last row
     there is room for a vector. Of a large cluster these are so many of its points as tell its shape, evenly drawn; all
-    of them, by their index in the frame, are members[member_offsets[k]:member_offsets[k + 1]], (M,) int32. box: (K, 8)
-    float32: centre x, y, z, length, width, height, yaw, gap to the road.
+    of them, by their index in the frame, are members[member_offsets[k]:member_offsets[k + 1]], (M,) int32, and counts
+    (K,) says how many. box: (K, 8) float32: centre x, y, z, length, width, height, yaw, gap to the road.
     """
 
     planar: np.ndarray
     offsets: np.ndarray
     members: np.ndarray
     member_offsets: np.ndarray
+    counts: np.ndarray
     box: np.ndarray
 
     def __len__(self) -> int:
@@ -43,11 +43,6 @@ class ClusterPoints:
     def points(self) -> np.ndarray:
         """(S, 3) float32, the points that tell the shapes, row by row."""
         return self.planar.T
-
-    @cached_property
-    def counts(self) -> np.ndarray:
-        """(K,) points per cluster."""
-        return self.member_offsets[1:] - self.member_offsets[:-1]
 
     def cluster_id(self, n: int) -> np.ndarray:
         """(N,) int32: the cluster of each point of a frame of n, -1 = none."""

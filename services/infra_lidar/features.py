@@ -90,19 +90,20 @@ def compute_features(
     ground = np.ascontiguousarray(ground_z_m, np.float32)
     _check(points, offsets, ground)
     counts = np.diff(offsets) if counts is None else np.ascontiguousarray(counts, np.int64)
-    return features_of(points, offsets, counts, ground, wanted_of(names), buffers or Buffers(), spacing)
+    planar = np.ascontiguousarray(points.T, np.float32)
+    return features_of(planar, offsets, counts, ground, wanted_of(names), buffers or Buffers(), spacing)
 
 
 def features_of(
-    points: np.ndarray, offsets: np.ndarray, counts: np.ndarray, ground_z_m: np.ndarray, wanted: Wanted,
+    planar: np.ndarray, offsets: np.ndarray, counts: np.ndarray, ground_z_m: np.ndarray, wanted: Wanted,
     buffers: Buffers, spacing: bool,
 ) -> np.ndarray:  # fmt: skip
-    """The same of what fits together; offsets and counts of any integers, ground_z_m float32.
+    """The same of points planar (3, M) float32, where all fits together; offsets and counts of any integers, ground_z_m
+    float32.
 
     Raises:
         ValueError: an empty cluster.
     """
-    planar = np.ascontiguousarray(points.T, np.float32)
     table = np.empty((len(ground_z_m), len(wanted.columns)), np.float32)
     if not cluster_features(planar, offsets, counts, ground_z_m, wanted.hull, wanted.columns, table):
         raise ValueError("offsets: every cluster needs at least one point")
@@ -117,16 +118,15 @@ def features_of(
         for k, name in enumerate(_PIECE_NAMES):
             table[:, wanted.columns == _INDEX[name]] = pieces[:, k : k + 1]
     if wanted.hull_points:
-        table[:, wanted.columns == _INDEX["hull_point_ratio"]] = hull_point_ratio(points, offsets)[:, None]
+        table[:, wanted.columns == _INDEX["hull_point_ratio"]] = hull_point_ratio(planar.T, offsets)[:, None]
     return table
 
 
 def compute_spacing(
-    points: np.ndarray, offsets: np.ndarray, which: np.ndarray, buffers: Buffers | None = None
+    planar: np.ndarray, offsets: np.ndarray, which: np.ndarray, buffers: Buffers | None = None
 ) -> np.ndarray:
-    """``nn_dist_std`` of the clusters ``which`` alone, (J,) float32; the rest as for ``compute_features``."""
-    planar, offsets = np.ascontiguousarray(points.T, np.float32), np.ascontiguousarray(offsets, np.int64)
-    return cluster_spacing(planar, offsets, which, False, buffers or Buffers())[0]
+    """``nn_dist_std`` of the clusters ``which`` alone, (J,) float32; the rest as for ``features_of``."""
+    return cluster_spacing(planar, np.ascontiguousarray(offsets, np.int64), which, False, buffers or Buffers())[0]
 
 
 def may_wait(names: tuple[str, ...]) -> bool:

@@ -44,7 +44,7 @@ class Forest:
     def shares(self, x: np.ndarray) -> np.ndarray:
         """(K, F) float32 features to (K, C) float32 mean class shares of the trees (uncalibrated)."""
         rows = self._rows(x)
-        out = np.zeros((len(rows), self.value.shape[1]), np.float32)
+        out = np.empty((len(rows), self.value.shape[1]), np.float32)
         self._walk(rows, -1, None, out, None, None)
         return out
 

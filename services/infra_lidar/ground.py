@@ -83,7 +83,7 @@ class Ground:
         """Level (N, 3+) float32 sensor-frame points, find the road in them, and label it."""
         points, frame, self._known = np.ascontiguousarray(points, np.float32), self._room(len(points)), None
         m, frame.returns, frame.near = kernels.find_ground(
-            points, T_level_sensor.astype(np.float32), self._settings, self._near_m, self._histogram, self._fours,
+            points, T_level_sensor, self._settings, self._near_m, self._histogram, self._fours,
             self._count, self.height_m, self.surface.reshape(self.rings, self.sectors, 3), self.accepted, frame.x,
             frame.y, frame.z, frame.cell, frame.ground, frame.points, frame.rest,
         )  # fmt: skip
@@ -101,7 +101,7 @@ class Ground:
             self._road = self._road_map()
         found = Obstacles(*self._room_for_rest(len(source)))
         m = kernels.find_known(
-            sensor, source, T_level_sensor.astype(np.float32), self._settings, self._road, found.ground, found.points,
+            sensor, source, T_level_sensor, self._settings, self._road, found.ground, found.points,
             found.rest,
         )  # fmt: skip
         found.rest = found.rest[:m]
@@ -121,7 +121,7 @@ class Ground:
         """Level a sample of a frame, and note in which directions there is something; what is road is not asked."""
         points, frame = np.ascontiguousarray(points, np.float32), self._room(len(points))
         kernels.look(
-            points, T_level_sensor.astype(np.float32), self._settings, frame.x, frame.y, frame.z, frame.cell,
+            points, T_level_sensor, self._settings, frame.x, frame.y, frame.z, frame.cell,
             self._count,
         )  # fmt: skip
         return frame
@@ -139,8 +139,12 @@ class Ground:
 
     def road_height(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         """(K,) float32 height of the road below positions in the level frame, from the last frame's surface."""
-        height = np.empty(len(x_m), np.float32)
-        surfaces.road_height(x_m, y_m, self.surface, self._config.ring_m, self.rings, self.sectors, height)
+        return self.road_below(np.column_stack((x_m, y_m)).astype(np.float32))
+
+    def road_below(self, places: np.ndarray) -> np.ndarray:
+        """The same of places (K, 2 or more) float32: x, y, and anything."""
+        height = np.empty(len(places), np.float32)
+        surfaces.road_below(places, self.surface, self._config.ring_m, self.rings, self.sectors, height)
         return height
 
     def _room(self, n: int) -> Levelled:

@@ -43,7 +43,7 @@ def find_clusters(  # type: ignore[no-untyped-def]
     else None. ints (INTS, m + 1 or more) int32 and floats (FLOATS, m or more) float32 are scratch, with room for a
     vector more; grid, touched and row_start as in ``kernels_labels``.
     Returns copies, see ``ClusterPoints``: planar (3, S) float32, with room for a vector behind it, offsets (K + 1,)
-    int32, members (T,) int32, member_offsets (K + 1,) int32, box (K, 8) float32.
+    int32, members (T,) int32, member_offsets (K + 1,) int32, counts (K,) int32, box (K, 8) float32.
     """
     s = settings[0]
     # Components of cells that are occupied as low as a body; what is higher joins tall ones, or is on its own

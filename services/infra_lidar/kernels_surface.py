@@ -110,10 +110,11 @@ def _tangent_planes(filled, trust, ring_m, surface):  # type: ignore[no-untyped-
 
 
 @kernel
-def road_height(x, y, surface, ring_m, rings, sectors, height):  # type: ignore[no-untyped-def]
-    """height (K,) float32 of the road, surface (rings * sectors, 3), below the places x, y (K,)."""
+def road_below(places, surface, ring_m, rings, sectors, height):  # type: ignore[no-untyped-def]
+    """height (K,) float32 of the road, surface (rings * sectors, 3), below the places (K, 2 or more) float32."""
     for k in range(height.shape[0]):
-        ring = min(int(np.hypot(x[k], y[k]) / ring_m), rings - 1)
-        sector = min(max(int((np.arctan2(y[k], x[k]) + np.pi) * (sectors / (2.0 * np.pi))), 0), sectors - 1)
+        x, y = places[k, 0], places[k, 1]
+        ring = min(int(np.hypot(x, y) / ring_m), rings - 1)
+        sector = min(max(int((np.arctan2(y, x) + np.pi) * (sectors / (2.0 * np.pi))), 0), sectors - 1)
         plane = surface[ring * sectors + sector]
-        height[k] = plane[0] + plane[1] * x[k] + plane[2] * y[k]
+        height[k] = plane[0] + plane[1] * x + plane[2] * y

@@ -21,7 +21,7 @@ def take_out(points, shape, source, offsets, box, group, s, scratch):  # type: i
     rewritten for the first of several. s: settings, as in ``kernels_steps``, only groups of a possible size are taken;
     None = all. scratch (3 or more, S or more) float32.
     Returns planar (3, P) of the points by group, with room for a vector behind it, where each group begins in it
-    (G + 1,), members (M,), where each begins in those (G + 1,), and box (G, 8).
+    (G + 1,), members (M,), where each begins in those (G + 1,), how many it has (G,), and box (G, 8).
     """
     number, first, following = _members(group, offsets)
     taken, copied = np.empty(len(group), np.int32), 0  # clusters, group by group
@@ -44,8 +44,8 @@ def take_out(points, shape, source, offsets, box, group, s, scratch):  # type: i
         _line_up(points[row], shape, taken, planar[row])
     members = np.empty(total + LANES, np.int32)[:total]
     _line_up(source, offsets, taken, members)
-    begins, member_begins, boxes = _begins(group, shape, offsets, taken, box, groups)
-    return planar, begins, members, member_begins, boxes
+    begins, member_begins, counts, boxes = _begins(group, shape, offsets, taken, box, groups)
+    return planar, begins, members, member_begins, counts, boxes
 
 
 @inner
@@ -83,10 +83,10 @@ def _append(values, first, last, out, to):  # type: ignore[no-untyped-def]
 
 @inner
 def _begins(group, shape, offsets, taken, box, groups):  # type: ignore[no-untyped-def]
-    """Where each of the groups begins, by shape and by offsets (G + 1,) int32, and its box (G, 8), that of its first
-    cluster."""
+    """Where each of the groups begins, by shape and by offsets (G + 1,) int32, how many it has by these (G,) int32, and
+    its box (G, 8), that of its first cluster."""
     begins, member_begins = np.zeros(groups + 1, np.int32), np.zeros(groups + 1, np.int32)
-    boxes, at = np.empty((groups, 8), np.float32), 0
+    counts, boxes, at = np.zeros(groups, np.int32), np.empty((groups, 8), np.float32), 0
     for i in range(len(taken)):
         k = taken[i]
         if i == 0 or group[k] != group[taken[i - 1]]:
@@ -96,7 +96,8 @@ def _begins(group, shape, offsets, taken, box, groups):  # type: ignore[no-untyp
             begins[at], member_begins[at] = begins[at - 1], member_begins[at - 1]
         begins[at] += shape[k + 1] - shape[k]
         member_begins[at] += offsets[k + 1] - offsets[k]
-    return begins, member_begins, boxes
+        counts[at - 1] += offsets[k + 1] - offsets[k]
+    return begins, member_begins, counts, boxes
 
 
 @inner

@@ -103,13 +103,13 @@ class InfraLidarPipeline:
         )  # fmt: skip
 
     def _classify(self, parted: Parted, found: ClusterPoints) -> ClusterSet:
-        road_z_m = self.scene.ground.road_height(found.box[:, 0], found.box[:, 1])
+        road_z_m = self.scene.ground.road_below(found.box)
         features, index, confidence, probabilities = self.classifier.recognise(
-            found.points, found.offsets, road_z_m, self._buffers, found.counts
+            found.planar, found.offsets, road_z_m, self._buffers, found.counts
         )
         self.scene.mark_structure(parted, found, road_z_m, index)
         return ClusterSet(
-            classes=index, confidences=confidence, probabilities=probabilities, boxes=found.box[:, :7],
+            classes=index, confidences=confidence, probabilities=probabilities, box=found.box,
             features=features, offsets=found.member_offsets, members=found.members, counts=found.counts,
             ground_z_m=road_z_m,
         )  # fmt: skip

@@ -25,16 +25,16 @@ OTHER, GROUND, CLUSTERED, BACKGROUND = np.uint8(0), np.uint8(1), np.uint8(2), np
 class ClusterSet:
     """K clusters in the level frame.
 
-    classes: (K,) int, index into ``LABELS``. confidences: (K,) of that class, probabilities: (K, C). boxes: (K, 7)
-    float32: centre x, y, z, length, width, height (m) and yaw (rad). features: (K, F) float32. offsets: (K + 1,) and
-    members (M,): the points of cluster k are ``members[offsets[k]:offsets[k + 1]]`` of the frame's, counts (K,) in
-    number. ground_z_m: (K,) height of the local road.
+    classes: (K,) int, index into ``LABELS``. confidences: (K,) of that class, probabilities: (K, C). box: (K, 8)
+    float32: centre x, y, z, length, width, height (m), yaw (rad) and the gap to the road (m). features: (K, F) float32.
+    offsets: (K + 1,) and members (M,): the points of cluster k are ``members[offsets[k]:offsets[k + 1]]`` of the
+    frame's, counts (K,) in number. ground_z_m: (K,) height of the local road.
     """
 
     classes: np.ndarray
     confidences: np.ndarray
     probabilities: np.ndarray
-    boxes: np.ndarray
+    box: np.ndarray
     features: np.ndarray
     offsets: np.ndarray
     members: np.ndarray
@@ -43,6 +43,11 @@ class ClusterSet:
 
     def __len__(self) -> int:
         return len(self.classes)
+
+    @property
+    def boxes(self) -> np.ndarray:
+        """(K, 7): without the gap."""
+        return self.box[:, :7]
 
     @property
     def labels(self) -> list[str]:

@@ -118,7 +118,7 @@ def compile_scene(config: InfraLidarConfig) -> None:
     for k in STEPS:
         stamp_ns = (10 + k) * FRAME_NS
         parted = scene.part(stamp_ns, frame, pipeline.calibration.update(frame))
-        road_z_m = scene.ground.road_height(people.box[:, 0], people.box[:, 1])
+        road_z_m = scene.ground.road_below(people.box)
         scene.mark_structure(parted, people, road_z_m, np.zeros(2, np.int64))
         if not parted.sifted:
             scene.learn(stamp_ns, frame, parted, nobody)
@@ -162,9 +162,9 @@ def compile_features(config: InfraLidarConfig) -> None:
 def know_people(classifier: Classifier) -> None:
     """Two people, and how evenly their points are spaced, if a class can hang on that: theirs may not."""
     people, road_z_m = two_people(), np.zeros(2, np.float32)
-    classifier.recognise(people.points, people.offsets, road_z_m, counts=people.counts)
+    classifier.recognise(people.planar, people.offsets, road_z_m, counts=people.counts)
     if may_wait(classifier.feature_names):
-        compute_spacing(people.points, people.offsets, np.arange(2))
+        compute_spacing(people.planar, people.offsets, np.arange(2))
 
 
 def compile_packets(config: InfraLidarConfig) -> None:
@@ -203,7 +203,7 @@ def two_people() -> ClusterPoints:
     planar[:] = np.random.default_rng(7).uniform(low, high, (n, 3)).T
     box = np.array([[*(low + high) / 2, *(high - low), 0.0, low[2]]] * 2, np.float32)
     offsets = np.array([0, n // 2, n], np.int32)
-    return ClusterPoints(planar, offsets, np.arange(n, dtype=np.int32), offsets, box)
+    return ClusterPoints(planar, offsets, np.arange(n, dtype=np.int32), offsets, np.diff(offsets), box)
 
 
 PACKET_KERNELS = {"velodyne": compile_velodyne, "ouster": compile_images}

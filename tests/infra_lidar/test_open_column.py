@@ -92,7 +92,7 @@ def test_classes_are_those_of_all_features_but_spacing_is_seldom_needed(trained:
     points, offsets, road_z_m = fresh.points, fresh.offsets, fresh.ground_z_m
     whole = compute_features(points, offsets, road_z_m, FEATURE_SETS["23"])
     labels, confidence, _ = classifier.classify(whole)
-    x, got, about, _ = classifier.recognise(points, offsets, road_z_m)
+    x, got, about, _ = classifier.recognise(np.ascontiguousarray(points.T), offsets, road_z_m)
     np.testing.assert_array_equal(got, labels)
     np.testing.assert_allclose(about, confidence, atol=0.2)
     column = FEATURE_SETS["23"].index("nn_dist_std")
@@ -106,9 +106,10 @@ def test_classes_are_those_of_all_features_but_spacing_is_seldom_needed(trained:
 def test_the_spacing_of_some_clusters_is_that_of_all() -> None:
     clusters = generated_clusters(seed=4, per_class=4)
     every = compute_features(clusters.points, clusters.offsets, clusters.ground_z_m, ("nn_dist_std",))[:, 0]
+    planar = np.ascontiguousarray(clusters.points.T)
     which = np.array([0, 5, 7, 19])
-    np.testing.assert_array_equal(compute_spacing(clusters.points, clusters.offsets, which), every[which])
-    assert len(compute_spacing(clusters.points, clusters.offsets, which[:0])) == 0
+    np.testing.assert_array_equal(compute_spacing(planar, clusters.offsets, which), every[which])
+    assert len(compute_spacing(planar, clusters.offsets, which[:0])) == 0
     assert np.all(every[which] > 0)
 
 

@@ -95,7 +95,9 @@ def test_a_cluster_is_within_if_enough_of_its_points_are_on_marked_cells(growth_
     row, column = grid.cells(x, y)
     layer = (z >= np.repeat(road_z_m + body_m, counts)).astype(int)
     hits = np.add.reduceat(marked[layer, row, column], offsets[:-1])
-    found = ClusterPoints(planar, offsets, np.empty(0, np.int32), offsets, np.empty((len(counts), 8), np.float32))
+    found = ClusterPoints(
+        planar, offsets, np.empty(0, np.int32), offsets, counts, np.empty((len(counts), 8), np.float32)
+    )
     within = _inside(config, drawn, found, road_z_m)
     clear = np.abs(hits - MIN_SHARE * counts) > 1.0  # a point on the edge of a cell may go either way
     assert 0.2 < within[clear].mean() < 0.8
