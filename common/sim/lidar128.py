@@ -2,8 +2,7 @@
 
 Ray casting with the roles turned round: instead of asking for each of 230 000 rays which solid it hits, ask for each
 solid which rays can hit it (the window of its bounding ball in azimuth and elevation) and keep the nearest. The
-ground is a quadric in closed form. numba compiles the three passes; nothing here is shared with other modules, because
-numba's cache on disk does not notice when an imported function changes.
+ground is a quadric in closed form. numba compiles the three passes.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from functools import lru_cache
 import numba
 import numpy as np
 
+from common.compiled_from import watch_all_sources
 from common.geometry import invert
 from common.processor import aim_at_level
 from common.sim.model import Scenario, WorldState
@@ -28,6 +28,7 @@ RANGE_NOISE_M = 0.02
 _DROPOUT = 0.01
 _GROUND_REFLECTIVITY = 0.22
 aim_at_level()
+watch_all_sources()
 _kernel = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 

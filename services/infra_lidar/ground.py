@@ -16,6 +16,7 @@ from services.infra_lidar import kernels_ground as kernels
 from services.infra_lidar import kernels_surface as surfaces
 from services.infra_lidar.buffers import LINE_FLOATS, Buffers
 from services.infra_lidar.config import GroundConfig
+from services.infra_lidar.kernels_heights import CHUNK, bin_place
 
 END_BIN_M = 0.1
 
@@ -67,9 +68,9 @@ class Ground:
         cells = self.rings * self.sectors
         lowest = max(config.height_min_m, -config.limit_max_m - END_BIN_M)  # farther off nothing passes for road
         highest = min(config.height_max_m, config.limit_max_m + END_BIN_M)
-        self._settings = _settings(config, self.sectors, kernels.bin_place(lowest))
-        bins = int(np.ceil(kernels.bin_place(highest) - kernels.bin_place(lowest))) + 1
-        bins += -bins % kernels.CHUNK
+        self._settings = _settings(config, self.sectors, bin_place(lowest))
+        bins = int(np.ceil(bin_place(highest) - bin_place(lowest))) + 1
+        bins += -bins % CHUNK
         self._histogram = np.zeros((cells, bins), np.uint16)
         self._fours = self._histogram.view(np.uint64)  # four bins at a time
         self._count = np.zeros(cells, np.int32)

@@ -16,6 +16,7 @@ from numba.core.typing import builtins
 from numba.core.typing.arraydecl import GetItemBuffer
 from numba.core.typing.templates import infer_global
 
+from common.compiled_from import watch_all_sources
 from common.processor import aim_at_level
 from services.infra_lidar.code_on_demand import CodegenOnDemand
 from services.infra_lidar.direct_calls import put_down_in_place
@@ -24,6 +25,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 aim_at_level()
+watch_all_sources()
 ASKED_FIRST = {"metadata": {"target": "cpu"}}  # numba asks what it knows of this target before what it knows of all
 # What kernels index is an array, what they compute with are numbers. Elsewise a tenth of all compiling goes into asking
 # whether it is a list, a dictionary, a text, a date.

@@ -1,4 +1,4 @@
-"""Compiled passes over all points: level, clip, polar cell, height histogram, ground label, compaction.
+"""Compiled passes over all points: level, clip, polar cell, count heights, ground label, compaction.
 
 Points become planar (one float32 array per axis). A block of them goes through a pass before the next one is read.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, inner, kernel
+from services.infra_lidar.kernels_heights import bin_places, cell_heights
 from services.infra_lidar.kernels_returns import BLOCK, PI, angle, columns_of, fetch_ahead, whole_block
 from services.infra_lidar.kernels_surface import flat_surface, sloped_surface
 from services.infra_lidar.vectors import (
@@ -34,10 +35,7 @@ CLIPPED = np.int32(-1)  # outside the range or height limits
 NO_RETURN_M2 = np.float32(0.25)  # the housing; drivers also write (0, 0, 0) where nothing came back
 FAR_M, FAR_M2 = np.float32(1e4), np.float32(1e8)
 NOT_A_NUMBER = np.float32(np.nan)
-FINE_M = 0.64  # up to so far from the calibrated road heights are counted in fine bins ...
-CHUNK = 16  # bins, the number of which is a multiple of it
 ROAD_CELL_M = np.float32(0.5)
-FINE_PER_M, COARSE_PER_M = 200.0, 50.0  # ... of 5 mm, farther off in bins of 2 cm
 
 
 SETTINGS = np.dtype(
@@ -120,19 +118,6 @@ def find_known(sensor, source, T, settings, road, ground, others, rest):  # type
     return m
 
 
-def bin_place(height_m: float) -> float:
-    """Where a height lies on the scale of the bins; 0 is that of height 0."""
-    near = min(max(height_m, -FINE_M), FINE_M)
-    return near * FINE_PER_M + (height_m - near) * COARSE_PER_M
-
-
-@inline
-def _height_of(place):  # type: ignore[no-untyped-def]
-    """The height at a place of that scale."""
-    near = min(max(place, -FINE_M * FINE_PER_M), FINE_M * FINE_PER_M)
-    return near / FINE_PER_M + (place - near) / COARSE_PER_M
-
-
 @kernel
 def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-untyped-def]
     """Rotate and shift (N, 3+) float32 sensor-frame points into planar level-frame x, y, z (N,) float32.
@@ -164,7 +149,7 @@ def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-un
             store(z, start + i, height)
             k, inside = _polar_cell(lx, ly, height, grid)
             store(cell, start + i, select(inside, k, CLIPPED))
-            bin_ = smaller(larger(whole(_bin_place(height) - first_place), 0), np.int32(bins - 1))
+            bin_ = smaller(larger(whole(bin_places(height) - first_place), 0), np.int32(bins - 1))
             store_chosen(at, m, k * np.int32(bins) + bin_, inside)
             m += lane_count(inside)
         for i in range(m):
@@ -219,58 +204,6 @@ def _polar_cell(x, y, z, grid):  # type: ignore[no-untyped-def]
     inside = (radius <= range_max_m) & (z >= z_min_m) & (z <= z_max_m)
     sector = smaller(whole((angle(y, x) + PI) * per_sector), sectors - 1)
     return whole(radius * per_ring) * sectors + sector, inside
-
-
-@inline
-def _bin_place(height):  # type: ignore[no-untyped-def]
-    """``bin_place`` of a vector."""
-    near = smaller(larger(height, np.float32(-FINE_M)), np.float32(FINE_M))
-    return fma(near, np.float32(FINE_PER_M), (height - near) * np.float32(COARSE_PER_M))
-
-
-@inner
-def cell_heights(histogram, fours, s, number, height):  # type: ignore[no-untyped-def]
-    """Low percentile of each cell's heights by selection, rank max(1, int(percentile n)); NaN where too few points.
-
-    fours (cells, bins / 4) uint64 is the histogram, four bins at a time. number (cells,) int32 is the number of points:
-    cells are counted from their bins, since neighbours in time often share a cell, and adding to one counter again and
-    again waits for memory each time. What was counted is cleared.
-    """
-    bins = histogram.shape[1]
-    for c in range(number.shape[0]):
-        n = _sum(fours, c, 0, bins)
-        number[c], height[c] = n, np.nan
-        if n >= s.min_points:
-            rank = max(1, int(s.percentile * n))
-            b, seen = _bin_of(histogram, fours, c, rank)
-            # inside a bin heights are as good as evenly spread
-            height[c] = _height_of(s.first_place + b + (rank - seen + 0.5) / histogram[c, b])
-        if n > 0:
-            for k in range(bins // 4):
-                fours[c, k] = np.uint64(0)
-
-
-@inline
-def _sum(fours, c, first, last):  # type: ignore[no-untyped-def]
-    """Sum of the counts of bins ``first`` to ``last`` of a cell, four at a time: as long as no count overflows, neither
-    does a fourth of them."""
-    added, low = np.uint64(0), np.uint64(0xFFFF)
-    for k in range(first // 4, last // 4):
-        added += fours[c, k]
-    parts = (added & low) + ((added >> np.uint64(16)) & low) + ((added >> np.uint64(32)) & low)
-    return np.int64(parts + (added >> np.uint64(48)))
-
-
-@inline
-def _bin_of(histogram, fours, c, rank):  # type: ignore[no-untyped-def]
-    """The bin of a cell that holds the rank, and the number before it."""
-    seen, b, here = np.int64(0), 0, _sum(fours, c, 0, CHUNK)
-    while seen + here <= rank:
-        seen, b = seen + here, b + CHUNK
-        here = _sum(fours, c, b, b + CHUNK)
-    while seen + np.int64(histogram[c, b]) <= rank:
-        seen, b = seen + np.int64(histogram[c, b]), b + 1
-    return b, seen
 
 
 @inner

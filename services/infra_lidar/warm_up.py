@@ -17,6 +17,7 @@ from itertools import product
 
 import msgspec
 import numpy as np
+from numba.core import event
 from numba.core.registry import cpu_target
 
 from common.stopwatch import Stopwatch
@@ -58,7 +59,8 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
         else:
             tell("compiling kernels: on the first start on this machine, about half a minute")
             _compile_together(small)
-        run_whole(small)
+        with event.install_listener("numba:compile", _Compiling(tell)):
+            run_whole(small)
     watch.lap("warm-up")
     log.info("kernels ready after %.1f s", watch.stage_ms["warm-up"] / 1e3)
     return watch.stage_ms["warm-up"]
@@ -78,6 +80,22 @@ def _compiled_before() -> bool:
     """Whether the smallest kernel came from the disk."""
     beams_seen(np.zeros((1, 2), np.float32)[:, 0], np.zeros(256, bool))
     return not beams_seen.stats.cache_misses  # type: ignore[attr-defined]
+
+
+class _Compiling(event.Listener):
+    """Says once that kernels are compiled after all: an update has changed what some of them are made from."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self._tell: Callable[[str], None] | None = tell
+
+    def on_start(self, event: event.Event) -> None:
+        """A kernel that is not on the disk."""
+        if self._tell is not None:
+            self._tell("compiling the kernels that an update has changed: up to half a minute")
+            self._tell = None
+
+    def on_end(self, event: event.Event) -> None:
+        """It is compiled."""
 
 
 def _compile_together(config: InfraLidarConfig) -> None:
