@@ -48,6 +48,11 @@ cpu_target.target_context.refresh()
 
 def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
     """Run a small made-up frame through a pipeline of its own; returns the milliseconds it took."""
+
+    def say(text: str) -> None:
+        log.info(text)
+        tell(text)
+
     watch = Stopwatch()
     background = msgspec.structs.replace(config.background, learn_s=0.1, min_frames=5, azimuth_cells=90)
     calibration = msgspec.structs.replace(config.calibration, frames=1, hypotheses=16)
@@ -55,11 +60,11 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
     lay_out_own()
     with _collecting_seldom():
         if _compiled_before():
-            tell("loading kernels")
+            say("loading kernels")
         else:
-            tell("compiling kernels: on the first start on this machine, about half a minute")
+            say("compiling kernels: on the first start on this machine, about half a minute")
             _compile_together(small)
-        with event.install_listener("numba:compile", _Compiling(tell)):
+        with event.install_listener("numba:compile", _Compiling(say)):
             run_whole(small)
     watch.lap("warm-up")
     log.info("kernels ready after %.1f s", watch.stage_ms["warm-up"] / 1e3)
