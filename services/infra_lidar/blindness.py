@@ -31,9 +31,8 @@ _FINE = FrameQuality()
 
 @dataclass(frozen=True)
 class Seen:
-    """What the passes over a frame counted: points, usable returns, returns near the window, beams, sectors."""
+    """What the passes over a frame counted: usable returns, those near the window, beams, sectors."""
 
-    points: int
     returns: int
     near: int
     beams: int  # 0 = the cloud has no ring column

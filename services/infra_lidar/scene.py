@@ -80,7 +80,7 @@ class Scene:
         self._complete = complete and not calibration.refused
         if calibration.refused:
             nothing = self.ground.remove(points_of(returns)[:0], calibration.T_level_sensor)
-            seen = Seen(len(returns), count_of(returns), 0, 0, 0)
+            seen = Seen(count_of(returns), 0, 0, 0)
             return Parted(nothing, seen, None, np.zeros(len(returns), bool))
         sifted = self._sift(returns)
         if sifted is None:
@@ -136,7 +136,7 @@ class Scene:
         points = points_of(returns)
         frame = self.ground.remove(points, calibration.T_level_sensor)
         self._look_after(stamp_ns, sample_of(returns, WATCH_EVERY), frame)
-        seen = Seen(len(points), frame.returns, frame.near, self._beam_count, self._sector_count)
+        seen = Seen(frame.returns, frame.near, self._beam_count, self._sector_count)
         return Parted(frame, seen, None, frame.ground)
 
     def _rest(self, stamp_ns: int, returns: Returns, sifted: Sifted, calibration: Calibration) -> Parted:
@@ -147,7 +147,7 @@ class Scene:
         found = self.ground.remove_known(
             sifted.fresh, sifted.source, calibration.T_level_sensor, self.background.model.surface
         )
-        seen = Seen(len(returns), sifted.returns, sifted.near, self._beam_count, self._sector_count)
+        seen = Seen(sifted.returns, sifted.near, self._beam_count, self._sector_count)
         known = Known(returns, self.background.model, sifted.source)
         return Parted(found, seen, known, found.ground)
 

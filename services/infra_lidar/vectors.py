@@ -70,7 +70,6 @@ __all__ = [
     "magnitude",
     "ones",
     "prefetch",
-    "real",
     "root",
     "select",
     "smaller",
@@ -152,11 +151,6 @@ def magnitude(a: Any) -> Any:
 @_function({FLOATS: lambda builder, a: builder.fptosi(a, INTS.llvm)}, INTS)
 def whole(a: Any) -> Any:
     """Floats to ints, towards zero; anything where it does not fit or is no number."""
-
-
-@_function({INTS: lambda builder, a: builder.sitofp(a, FLOATS.llvm)}, FLOATS)
-def real(a: Any) -> Any:
-    """Ints to floats."""
 
 
 @_function({FLOATS: lambda builder, a: builder.bitcast(a, INTS.llvm)}, INTS)

@@ -38,7 +38,6 @@ from services.infra_lidar.vectors import (
     load,
     magnitude,
     ones,
-    real,
     root,
     select,
     smaller,
@@ -68,7 +67,6 @@ def of_floats(a, b, number, out, flags, counts):
     store(out[9], 0, select(x < y, x, number))
     store(out[10], 0, unbits(bits(x)))
     store(out[11], 0, splat(number))
-    store(out[12], 0, real(whole(x)))
     store(flags[0], 0, x < y)
     store(flags[1], 0, x <= number)
     store(flags[2], 0, x > y)
@@ -76,7 +74,8 @@ def of_floats(a, b, number, out, flags, counts):
     store(flags[4], 0, x == y)
     store(flags[5], 0, x != y)
     store(flags[6], 0, (x < y) & ~(x > number) | (y == number) ^ (x < number))
-    store(counts, 0, ones(x < y))
+    store(counts[0], 0, ones(x < y))
+    store(counts[1], 0, whole(x))
     return lane_sum(x), lane_min(x), lane_max(y), lane_count(x < y)
 
 
@@ -85,17 +84,17 @@ def of_floats(a, b, number, out, flags, counts):
 def test_floats_lane_by_lane(values, number):
     a, b = values
     n = np.float32(number)
-    out, flags, counts = np.zeros((13, LANES), np.float32), np.zeros((7, LANES), bool), np.zeros(LANES, np.int32)
+    out, flags, counts = np.zeros((12, LANES), np.float32), np.zeros((7, LANES), bool), np.zeros((2, LANES), np.int32)
     total, least, most, count = of_floats(a, b, n, out, flags, counts)
     with np.errstate(all="ignore"):
         expected = [
             a + b, a - n, n * b, a / b, (a.astype(np.float64) * b + n).astype(np.float32), np.sqrt(np.abs(a)),
-            np.floor(a), np.minimum(a, b), np.maximum(a, n), np.where(a < b, a, n), a, np.full(LANES, n), np.trunc(a),
+            np.floor(a), np.minimum(a, b), np.maximum(a, n), np.where(a < b, a, n), a, np.full(LANES, n),
         ]  # fmt: skip
     np.testing.assert_allclose(out, expected, rtol=1e-6, atol=1e-6)
     compared = [a < b, a <= n, a > b, a >= b, a == b, a != b, ((a < b) & ~(a > n)) | ((b == n) ^ (a < n))]
     assert np.array_equal(flags, compared)
-    assert np.array_equal(counts, a < b)
+    assert np.array_equal(counts, [a < b, np.trunc(a)])
     assert total == pytest.approx(a.sum(dtype=np.float64), abs=0.01)
     assert (least, most, count) == (a.min(), b.max(), (a < b).sum())
 
