@@ -47,6 +47,7 @@ EXTRAS_OF = {
     "common/plots": {"plot"},
     "common/sim/camera.py": {"jetson"},
     "common/sim/lidar128.py": {"infra-lidar"},
+    "common/compiled_from.py": {"infra-lidar"},
     "common/processor.py": {"infra-lidar"},
 }
 SCRIPTS_OF_THEIR_OWN = {"services/jetson/camera/train_demo_network.py"}

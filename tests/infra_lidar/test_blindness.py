@@ -61,7 +61,7 @@ def test_usual_is_not_learned_from_a_covered_sensor():
 def test_a_cloud_without_rings_has_no_beams_to_lose():
     watch = BlindnessWatch(BlindnessConfig())
     for _ in range(20):
-        assert watch.judge(Seen(9000, 9000, 0, 0, 72), None, 1.0, "")[0] == "online"
+        assert watch.judge(Seen(9000, 0, 0, 72), None, 1.0, "")[0] == "online"
 
 
 def test_sight_comes_back():
