@@ -1,7 +1,4 @@
-"""Smallest, largest and k-th smallest of many floats. Values must be numbers.
-
-Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
-"""
+"""Smallest, largest and k-th smallest of many floats. Values must be numbers."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""How much of its bounding box the hull of a cluster fills, seen from above.
-
-Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
-"""
+"""How much of its bounding box the hull of a cluster fills, seen from above."""
 
 from __future__ import annotations
 

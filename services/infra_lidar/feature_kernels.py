@@ -3,8 +3,6 @@
 One cluster at a time is copied into planar scratch arrays about its mean (float32 stays exact to micrometres inside a
 cluster), with places for whole vectors: those behind the last point hold 0, the mean, which changes no sum of squares
 and no extent.
-
-Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
 """
 
 from __future__ import annotations

@@ -4,8 +4,6 @@ A cluster is sorted into cubic cells of about seven points, in rows along its lo
 search together, one a lane, in the cells around theirs; the window is widened until for none of them a point outside of
 it can be nearer than the fifth found. At the end of every row lie points that are nowhere, so that candidates can be
 taken four at a time without asking where the row ends; those taken beyond the window are points like any others.
-
-Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
 """
 
 from __future__ import annotations

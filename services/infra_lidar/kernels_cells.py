@@ -1,7 +1,5 @@
 """Compiled mapping of points to bird's-eye cells that may grow with range; ``per_m`` and ``growth`` are ``per_m`` and
 ``growth_per_m`` of a ``CellGrid``.
-
-Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What is higher than a body: part of something tall below it, or something of its own, a roof or a canopy.
-
-Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
-"""
+"""What is higher than a body: part of something tall below it, or something of its own, a roof or a canopy."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What all passes over the returns of a frame share: reading rows as vectors, and their direction.
-
-Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
-"""
+"""What all passes over the returns of a frame share: reading rows as vectors, and their direction."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Runs of equal numbers: what comes one after the other from a lidar is mostly of one cell and one label.
-
-Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
-"""
+"""Runs of equal numbers: what comes one after the other from a lidar is mostly of one cell and one label."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """From the points of a frame that are not ground to its clusters, in one compiled call: the steps of ``clustering.py``.
 
 Points that lie together by cluster stand in one of two sets of buffers; a step that regroups them writes the other.
-Whoever changes a file from which a kernel is imported has to clear the compiled ones: their cache does not notice.
 """
 
 from __future__ import annotations

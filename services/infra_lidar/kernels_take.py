@@ -1,7 +1,4 @@
-"""Compiled end of the clustering: groups of clusters that are of a possible size, as copies that are kept.
-
-Whoever changes this file has to clear the compiled kernels of its users: their cache does not notice.
-"""
+"""Compiled end of the clustering: groups of clusters that are of a possible size, as copies that are kept."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Sorting and sifting a few hundred numbers, for kernels.
 
 numpy's ``sort``, ``argsort`` and ``flatnonzero`` would do, but take the compiler seconds for each type and each kernel
-that calls them: these take it a tenth of one. Whoever changes this file has to clear the compiled kernels of its users:
-their cache does not notice.
+that calls them: these take it a tenth of one.
 """
 
 from __future__ import annotations

@@ -10,9 +10,6 @@ for them costs time at compilation. They are generic LLVM vectors that fit any p
 
 A number beside a vector stands for as many of it. ``load`` and ``store`` convert from and to the array's type, so flags
 can be kept as bool and small integers as int16. Nothing checks bounds: arrays need room for whole vectors.
-
-Whoever changes this file, or the two it stands on, has to clear the compiled kernels of its users: their cache does
-not notice.
 """
 
 from __future__ import annotations
