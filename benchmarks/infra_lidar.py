@@ -32,7 +32,8 @@ from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
 from services.infra_lidar.forest import Forest
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.range_image import Returns
-from services.infra_lidar.warm_up import compile_images, warm_up
+from services.infra_lidar.warm_up import warm_up
+from services.infra_lidar.warm_up_parts import compile_images
 
 FRAMES, ROUNDS = 24, 5
 

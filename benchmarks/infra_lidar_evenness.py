@@ -26,7 +26,8 @@ from benchmarks.roadside_frames import Frame, as_arrived, turns
 from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.range_image import Returns
-from services.infra_lidar.warm_up import compile_images, warm_up
+from services.infra_lidar.warm_up import warm_up
+from services.infra_lidar.warm_up_parts import compile_images
 
 FRAMES, FIRST = 630, 230
 

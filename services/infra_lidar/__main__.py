@@ -29,10 +29,11 @@ def run(config: InfraLidarConfig) -> bool:
     """Work until interrupted or until the source ends."""
     configured, config = config, msgspec.structs.replace(config, T_map_sensor=surveyed_pose(config))
     store = Store(config.calibration.store)
-    pipeline = InfraLidarPipeline(config, *store.load())
+    calibration, background = store.load()
+    pipeline = InfraLidarPipeline(config, calibration, background)
     with Service("infra_lidar", config) as service:
         frames = open_source(config, service.report)
-        warm_up(config, lambda text: service.report.state("starting", text))
+        warm_up(config, lambda text: service.report.state("starting", text), learned=background is not None)
         gc.freeze()  # a million objects of the compiler stay for good; to look for garbage among them costs 0.1 s
         request = RecalibrationRequest(service)
         publish_tracks = service.publisher(INFRA_TRACKS)

@@ -8,7 +8,8 @@ from __future__ import annotations
 from common.sim import lidar128
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.pipeline import InfraLidarPipeline
-from services.infra_lidar.warm_up import PACKET_KERNELS, warm_up
+from services.infra_lidar.warm_up import warm_up
+from services.infra_lidar.warm_up_parts import PACKET_KERNELS
 
 
 def main() -> None:

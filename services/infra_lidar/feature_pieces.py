@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from scipy.spatial import ConvexHull, QhullError
 
 _jit = njit(nogil=True, cache=True, error_model="numpy")
 
@@ -131,6 +130,8 @@ def _count_pieces(root: np.ndarray, near: np.ndarray) -> tuple[float, float]:
 
 def hull_point_ratio(points: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """(K,) vertices of the 3-D convex hull / points; 1 for up to 10 points or a flat cluster (qhull: 0.1 ms each)."""
+    from scipy.spatial import ConvexHull, QhullError  # here: it takes a third of a second, and our own set is without
+
     out = np.ones(len(offsets) - 1, np.float32)
     for k in range(len(out)):
         cluster = points[offsets[k] : offsets[k + 1]].astype(np.float64)

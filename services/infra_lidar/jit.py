@@ -58,6 +58,11 @@ def inner(function: F) -> F:
     return cast(F, numba.njit(nogil=True, error_model="numpy", **_NOT_FROM_PYTHON)(function))
 
 
+def alone(function: F) -> F:
+    """An ``inner`` function as a kernel of its own: for tests, which call it from Python."""
+    return kernel(cast(Any, function).py_func)
+
+
 def inline(function: F) -> F:
     """A small function that is compiled into the kernels that call it."""
     return cast(F, numba.njit(nogil=True, error_model="numpy", inline="always")(function))

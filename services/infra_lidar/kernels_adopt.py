@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inner, kernel
+from services.infra_lidar.jit import inner
 from services.infra_lidar.kernels_merge import LARGE_GAP_M, LARGE_LENGTH_M, LARGE_TOP_M, SMALL_TOP_M, extent, interval
 from services.infra_lidar.ordering import rising, rising_in
 from services.infra_lidar.vectors import LANES
@@ -35,7 +35,7 @@ def _grow(box, turned, members, strays, reach, c, s, strict, spans, away, ints, 
     taken[:] = False
     if u1 - u0 > LARGE_LENGTH_M or v1 - v0 > WIDTH_M:
         return 0
-    possible, order, m = ints[0], ints[1], 0
+    possible, order, m = ints[0], ints[1], np.int64(0)  # a literal would have what takes it compiled once more
     for i in range(len(strays)):
         a, b, d, e = interval(box, turned, strays[i], c, s)
         spans[0, i], spans[1, i], spans[2, i], spans[3, i] = a, b, d, e
@@ -121,7 +121,7 @@ def _best(box, turned, members, strays):  # type: ignore[no-untyped-def]
     return best
 
 
-@kernel
+@inner
 def adopt_strays(box, turned, counts, min_points, group):  # type: ignore[no-untyped-def]
     """Let tall groups of ``min_points`` or more take loose pieces, the largest group first.
 
@@ -147,7 +147,7 @@ def adopt_strays(box, turned, counts, min_points, group):  # type: ignore[no-unt
         _adopt(box, turned, g, _near(box, g, loose, size, group, min_points), group)
 
 
-@kernel
+@inner
 def _adopt(box, turned, g, strays, group):  # type: ignore[no-untyped-def]
     """Let group g take its share of the strays. A group's number is that of its first member."""
     if len(strays) == 0:

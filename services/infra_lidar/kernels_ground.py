@@ -118,7 +118,7 @@ def find_known(sensor, source, T, settings, road, ground, others, rest):  # type
     return m
 
 
-@kernel
+@inner
 def level(points, T, s, near_m, histogram, x, y, z, cell):  # type: ignore[no-untyped-def]
     """Rotate and shift (N, 3+) float32 sensor-frame points into planar level-frame x, y, z (N,) float32.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inline, inner, kernel
+from services.infra_lidar.jit import inline, inner
 from services.infra_lidar.kernels_cells import cell_keys
 from services.infra_lidar.kernels_runs import find_runs
 from services.infra_lidar.vectors import bit_count, first_bit
@@ -67,7 +67,7 @@ def _clear(grid, touched):  # type: ignore[no-untyped-def]
                 touched[r, t] &= touched[r, t] - ONE
 
 
-@kernel
+@inner
 def occupy(key, begin, runs, grid, touched, two_points):  # type: ignore[no-untyped-def]
     """Set the bits of cells that one point fills or more, and of the words that hold any; with ``two_points`` also of
     those that two fill or more.
@@ -88,7 +88,7 @@ def occupy(key, begin, runs, grid, touched, two_points):  # type: ignore[no-unty
         flat[np.uint32(4) * at + np.uint32(ONCE)] = seen | bit
 
 
-@kernel
+@inner
 def find_rows(grid, touched, occupied, parent, first, last, row_start):  # type: ignore[no-untyped-def]
     """Runs of set bits, row by row, of the layer ``occupied`` of the grid.
 
@@ -123,7 +123,7 @@ def find_rows(grid, touched, occupied, parent, first, last, row_start):  # type:
     return runs
 
 
-@kernel
+@inner
 def join_rows(parent, first, last, row_start, eight):  # type: ignore[no-untyped-def]
     """Unite runs of neighbouring rows that overlap; with ``eight`` = 1 also those that touch at a corner."""
     for r in range(1, row_start.shape[0] - 1):
@@ -138,7 +138,7 @@ def join_rows(parent, first, last, row_start, eight):  # type: ignore[no-untyped
                 b += 1
 
 
-@kernel
+@inner
 def number_components(parent, runs):  # type: ignore[no-untyped-def]
     """Replace each run's parent by its component's number 0..K-1; returns K.
 
@@ -168,7 +168,7 @@ def _measure_across(parent, first, last, row_start, components, across):  # type
             across[k] = max(r - top[k], right[k] - left[k]) - 1
 
 
-@kernel
+@inner
 def label_runs(key, begin, runs, grid, occupied, parent, label):  # type: ignore[no-untyped-def]
     """Component of the cell of each run of points, -1 where the cell is not occupied enough."""
     flat = grid.reshape(grid.size)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import kernel
+from services.infra_lidar.jit import inner
 from services.infra_lidar.vectors import LANES, lane_count, lanes, load, store_chosen
 
 
-@kernel
+@inner
 def find_runs(values, begin):  # type: ignore[no-untyped-def]
     """begin (runs + 1,) int32, with room for a vector more: where another number begins than stood before, and the end.
     Returns how many runs the values (N,) int32 are."""

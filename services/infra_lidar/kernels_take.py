@@ -22,7 +22,7 @@ def take_out(points, shape, source, offsets, box, group, s, scratch):  # type: i
     """
     number, first, following = _members(group, offsets)
     taken, copied = np.empty(len(group), np.int32), 0  # clusters, group by group
-    clusters, groups, total = 0, 0, 0
+    clusters, groups, total = 0, np.int64(0), 0  # a literal would have what takes it compiled once more
     for g in range(len(group)):
         if number[g] == 0:
             continue

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.jit import inner, kernel
+from services.infra_lidar.jit import inner
 from services.infra_lidar.vectors import LANES, lane_sum, lanes, load, ones, splat
 
 COUNTED = 512
 
 
-@kernel
+@inner
 def rising(keys):  # type: ignore[no-untyped-def]
     """(n,) int64: indices of the keys (n,) in rising order, equal ones as they come; keys are compared as float32, what
     is no number as infinity."""
@@ -67,7 +67,7 @@ def _merge(keys, n, order):  # type: ignore[no-untyped-def]
         order[i] = now[i]
 
 
-@kernel
+@inner
 def sort_rising(values):  # type: ignore[no-untyped-def]
     """Sort (n,) values in place (Shell 1959, with steps of Knuth's: 1, 4, 13, 40 ...)."""
     n, step = len(values), 1

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from services.infra_lidar.jit import inner, kernel
+from services.infra_lidar.jit import inner
 from services.infra_lidar.ordering import places_of, rising
 from services.infra_lidar.tracking_filter import innovation
 
@@ -31,7 +31,7 @@ def cheapest(costs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return linear_sum_assignment(costs) if costs.size else (_NONE, _NONE)
 
 
-@kernel
+@inner
 def chosen_pairs(
     sure_t: np.ndarray, sure_d: np.ndarray, contested_t: np.ndarray, contested_d: np.ndarray, costs: np.ndarray,
     r: np.ndarray, c: np.ndarray,
@@ -50,7 +50,7 @@ def chosen_pairs(
     return rows[:number], columns[:number]
 
 
-@kernel
+@inner
 def easy_pairs(
     rows: np.ndarray, columns: np.ndarray, costs: np.ndarray, tracks: int, detections: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -79,7 +79,7 @@ def easy_pairs(
     return rows[easy], columns[easy], contested_t, contested_d, rest
 
 
-@kernel
+@inner
 def allowed_pairs(tracks: np.ndarray, detections: np.ndarray, p: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Track, detection and cost of every pair within the gate, three arrays of one length."""
     count = len(detections)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from services.infra_lidar.jit import inner, kernel
+from services.infra_lidar.jit import inner
 from services.infra_lidar.tracking_config import TrackingConfig
 
 TRAIL = 16  # remembered positions
@@ -82,7 +82,7 @@ def parameters(config: TrackingConfig) -> np.ndarray:
     return made
 
 
-@kernel
+@inner
 def predict(tracks: np.ndarray, dt_s: float, p: Any) -> None:
     """Move every track by ``dt_s`` and grow its covariance."""
     q = p.acceleration_sigma**2
@@ -118,7 +118,7 @@ def extents_along(size: np.ndarray, yaw: float, track_yaw: float) -> tuple[float
     return size[1], size[0]
 
 
-@kernel
+@inner
 def edge_shift(centre: float, measured: float, extent: float) -> tuple[float, float]:
     """By how much an interval has moved, judged by its edges, and the variance of what cannot be judged.
 
@@ -135,7 +135,7 @@ def edge_shift(centre: float, measured: float, extent: float) -> tuple[float, fl
     return (low if abs(low) < abs(high) else high), doubt
 
 
-@kernel
+@inner
 def innovation(
     mean: np.ndarray, size: np.ndarray, yaw: float, position: np.ndarray, box: np.ndarray, box_yaw: float, p: Any
 ) -> tuple[float, float, float, float, float]:  # fmt: skip
@@ -153,7 +153,7 @@ def innovation(
     return ex, ey, c * c * ra + s * s * rc, c * s * (ra - rc), s * s * ra + c * c * rc
 
 
-@kernel
+@inner
 def correct(
     mean: np.ndarray, cov: np.ndarray, e: np.ndarray, r_xx: float, r_xy: float, r_yy: float, r_zz: float,
     work: np.ndarray,

@@ -91,19 +91,19 @@ def _follow_size(
     length, width = extents_along(box, box_yaw, track.yaw)
     differs = max(abs(length - track.size[0]), abs(width - track.size[1]))
     track.wobble += max(0.2, 1.0 / track.hits) * (differs - track.wobble)
-    along = _resize(track.size, 0, length, c * left_x + s * left_y, gain, visible)
-    across = _resize(track.size, 1, width, c * left_y - s * left_x, gain, visible)
-    _resize(track.size, 2, box[2], 0.0, gain, visible)
+    along = _resize(track.size[:1], length, c * left_x + s * left_y, gain, visible)
+    across = _resize(track.size[1:2], width, c * left_y - s * left_x, gain, visible)
+    _resize(track.size[2:], box[2], 0.0, gain, visible)
     track.mean[0] += c * along - s * across
     track.mean[1] += s * along + c * across
 
 
 @inner
-def _resize(size: np.ndarray, axis: int, measured: float, left: float, gain: float, visible: bool) -> float:
-    shrink = 0.1 if size[axis] > 1.5 else 0.5
-    rate = gain if measured > size[axis] or not visible else shrink * gain
-    change = rate * (measured - size[axis])
-    size[axis] += change
+def _resize(size: np.ndarray, measured: float, left: float, gain: float, visible: bool) -> float:
+    shrink = 0.1 if size[0] > 1.5 else 0.5
+    rate = gain if measured > size[0] or not visible else shrink * gain
+    change = rate * (measured - size[0])
+    size[0] += change
     room = 0.5 * abs(change) if visible else 0.0
     return min(max(left, -room), room)
 

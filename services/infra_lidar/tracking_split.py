@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from services.infra_lidar.classes import CLASSES
-from services.infra_lidar.jit import inner, kernel
+from services.infra_lidar.jit import inner
 from services.infra_lidar.ordering import places_of, rising
 from services.infra_lidar.tracking_overlap import all_votes
 
@@ -114,7 +114,7 @@ def _predicted_inside(tracks: np.ndarray, who: np.ndarray, seen: Any) -> tuple[n
     return sorted_inside, sorted_place
 
 
-@kernel
+@inner
 def _cut(place: np.ndarray, extent: float, edges: np.ndarray) -> bool:
     """Cut half way between neighbours; false where two are too near each other, or a piece would be too small."""
     edges[0], edges[-1] = -0.5 * extent, 0.5 * extent

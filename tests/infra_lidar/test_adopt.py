@@ -5,8 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.infra_lidar.kernels_adopt import adopt_strays
+from services.infra_lidar import kernels_adopt
+from services.infra_lidar.jit import alone
 
+adopt_strays = alone(kernels_adopt.adopt_strays)
 END_FACE = (60.0, 0.0, 1.6, 2.4, 0.1, 2.6, np.pi / 2, 0.3)  # x, y, z, length, width, height, yaw, gap to the road
 FEW = 10
 

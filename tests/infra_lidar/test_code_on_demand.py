@@ -92,7 +92,9 @@ def test_an_inner_function_knows_its_constants(capfd: pytest.CaptureFixture[str]
 
 KEPT = """
 import numpy as np
-from services.infra_lidar.ordering import rising
+from services.infra_lidar import ordering
+from services.infra_lidar.jit import alone
+rising = alone(ordering.rising)
 print(rising(np.array([3.0, 1.0, 2.0])).tolist(), len(rising.stats.cache_hits))
 """
 

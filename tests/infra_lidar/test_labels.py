@@ -7,9 +7,13 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from services.infra_lidar import kernels_labels as kernels
-from services.infra_lidar.kernels_runs import find_runs
+from services.infra_lidar import kernels_runs
+from services.infra_lidar.jit import alone
 from services.infra_lidar.vectors import LANES
 
+find_runs = alone(kernels_runs.find_runs)
+occupy, label_runs = alone(kernels.occupy), alone(kernels.label_runs)
+find_rows, join_rows, number_components = map(alone, (kernels.find_rows, kernels.join_rows, kernels.number_components))
 ONES = np.ones((3, 3), int)
 
 
@@ -30,14 +34,14 @@ def _label(cells, connectivity):
     grid, touched = np.zeros((side, words, 4), np.uint64), np.zeros((side, (words + 63) // 64), np.uint64)
     key, begin = 2 * (row * np.int32(64 * words) + column) + 1, np.zeros(len(row) + 1 + LANES, np.int32)
     keys = find_runs(key, begin)
-    kernels.occupy(key, begin, keys, grid, touched, False)
+    occupy(key, begin, keys, grid, touched, False)
     parent, first, last = (np.zeros(len(row) + 1, np.int32) for _ in range(3))
     row_start = np.zeros(side + 1, np.int32)
-    runs = kernels.find_rows(grid, touched, kernels.ONCE, parent, first, last, row_start)
-    kernels.join_rows(parent, first, last, row_start, int(connectivity == 8))
-    components = kernels.number_components(parent, runs)
+    runs = find_rows(grid, touched, kernels.ONCE, parent, first, last, row_start)
+    join_rows(parent, first, last, row_start, int(connectivity == 8))
+    components = number_components(parent, runs)
     label = np.empty(len(row), np.int32)
-    kernels.label_runs(key, begin, keys, grid, kernels.ONCE, parent, label)
+    label_runs(key, begin, keys, grid, kernels.ONCE, parent, label)
     return label, components, (row, column)
 
 
@@ -79,7 +83,7 @@ def test_cells_with_two_points_are_told_apart():
     row, column = np.array([0, 0, 1], np.int32), np.array([70, 70, 3], np.int32)
     grid, touched = np.zeros((2, 2, 4), np.uint64), np.zeros((2, 1), np.uint64)
     key, begin = 2 * (row * np.int32(128) + column) + 1, np.zeros(4 + LANES, np.int32)
-    kernels.occupy(key, begin, find_runs(key, begin), grid, touched, True)
+    occupy(key, begin, find_runs(key, begin), grid, touched, True)
     assert grid[0, 1, kernels.TWICE] == np.uint64(1 << 6)
     assert grid[1, 0, kernels.TWICE] == 0
     assert touched[:, 0].tolist() == [2, 1]

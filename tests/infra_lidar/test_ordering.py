@@ -6,9 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.infra_lidar.ordering import COUNTED, places_of, rising, sort_rising
+from services.infra_lidar import ordering
+from services.infra_lidar.jit import alone
+from services.infra_lidar.ordering import COUNTED, places_of
 from services.infra_lidar.vectors import LANES
 
+rising, sort_rising = alone(ordering.rising), alone(ordering.sort_rising)
 NUMBERS = st.lists(st.floats(-1e6, 1e6, width=32), max_size=120)
 
 

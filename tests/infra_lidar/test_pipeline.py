@@ -11,7 +11,7 @@ from services.infra_lidar.config import BackgroundConfig, ClusteringConfig, Grou
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.source import surveyed_pose
 from services.infra_lidar.store import Store
-from services.infra_lidar.warm_up import made_up_frame
+from services.infra_lidar.warm_up_parts import made_up_frame
 
 START_NS = 1_700_000_000_000_000_000
 LEARN_FAST = BackgroundConfig(learn_s=0.5, min_frames=6)

@@ -15,7 +15,7 @@ from common.messages import ObjectTrack
 from services.infra_lidar import plot
 from services.infra_lidar.__main__ import main
 from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.warm_up import made_up_frame
+from services.infra_lidar.warm_up_parts import made_up_frame
 
 
 def track(track_id: int, x: float) -> ObjectTrack:

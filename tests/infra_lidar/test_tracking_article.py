@@ -15,7 +15,7 @@ from services.infra_lidar.config import ARTICLE_CLUSTERING, ARTICLE_GROUND, ARTI
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
 from services.infra_lidar.tracking_config import TrackingConfig
-from services.infra_lidar.warm_up import made_up_frame
+from services.infra_lidar.warm_up_parts import made_up_frame
 
 T0_NS = 1_790_000_000_000_000_000
 

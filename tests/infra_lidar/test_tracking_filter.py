@@ -10,9 +10,16 @@ from hypothesis import settings as how
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from services.infra_lidar.tracking_assign import FORBIDDEN, allowed_pairs, cheapest, chosen_pairs, easy_pairs
+from services.infra_lidar import tracking_assign, tracking_filter
+from services.infra_lidar.jit import alone
+from services.infra_lidar.tracking_assign import FORBIDDEN, cheapest
 from services.infra_lidar.tracking_config import TrackingConfig
-from services.infra_lidar.tracking_filter import DETECTION, TRACK, correct, edge_shift, innovation, parameters, predict
+from services.infra_lidar.tracking_filter import DETECTION, TRACK, parameters
+
+allowed_pairs, easy_pairs = alone(tracking_assign.allowed_pairs), alone(tracking_assign.easy_pairs)
+chosen_pairs = alone(tracking_assign.chosen_pairs)
+predict, correct = alone(tracking_filter.predict), alone(tracking_filter.correct)
+edge_shift, innovation = alone(tracking_filter.edge_shift), alone(tracking_filter.innovation)
 
 
 def random_tracks(rng: np.random.Generator, count: int) -> np.ndarray:
