@@ -2,7 +2,8 @@
 
 Cells grow with range because the spacing of returns does: near the sensor 15 cm keep two pedestrians apart, far away
 the same cell would break a car. Cells are filled by points up to the height of a body; what is above joins tall things
-(buses) only, so that a tree's canopy does not tie the cars below it together.
+(buses) only, so that a tree's canopy does not tie the cars below it together. Groups of people are split by their heads
+and pieces of vehicles merged.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from services.infra_lidar.buffers import LINE_FLOATS, Buffers
 from services.infra_lidar.cells import CellGrid
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.ground import Obstacles
+from services.infra_lidar.kernels_people import WIDEST_M
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,8 @@ def _settings(config: ClusteringConfig, cells: CellGrid, all_points: bool) -> np
     made["fewest"] = 1 if config.merge == "fragments" else config.min_points  # smaller components are not looked at
     made["enough"] = np.iinfo(np.int64).max if all_points else config.shape_points or np.iinfo(np.int64).max
     made["widest"] = config.max_diagonal_m / config.cell_m  # cells only grow with range
+    made["heads"] = config.split == "heads"
+    made["narrow"] = WIDEST_M / config.cell_m if config.split == "heads" else 0  # groups of people are looked at whole
     made["two_points"], made["fragments"] = config.min_cell_points > 1, config.merge == "fragments"
     return made
 

@@ -83,7 +83,7 @@ class ClusteringConfig(Section, frozen=True, kw_only=True):
     max_diagonal_m: Positive = 20.0
     body_height_m: NotNegative = 2.2  # cells are filled by points below this; higher ones join tall things. 0 = off
     trim_ground: bool = False  # the article's second look at a cluster's lowest points
-    split: Literal["gap", "off"] = "off"  # "gap": cut rows of people at gaps along their main axis, as the article
+    split: Literal["heads", "gap", "off"] = "heads"  # groups of people: by heads; or (article) at gaps along their axis
     merge: Literal["fragments", "engulfed", "off"] = "fragments"  # pieces of vehicles; or (article) boxes inside boxes
 
 

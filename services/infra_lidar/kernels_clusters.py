@@ -27,23 +27,23 @@ from services.infra_lidar.vectors import (
 
 @inner
 def regroup(  # type: ignore[no-untyped-def]
-    begin, label, components, fewest, most, across, widest, enough, points, source, scratch, offsets, shape, flat,
-    grouped_source, box,
+    begin, label, components, fewest, most, across, widest, narrow, enough, points, source, scratch, offsets, shape,
+    flat, grouped_source, box,
 ):  # fmt: skip
     """Copy the points so that those of a label lie together, label by label, and measure each of these clusters.
 
     begin (R + 1,) int: where runs of points of one label begin; label (R,) int32 in -1 .. components - 1. -1 is left
     out, and so are labels of fewer than ``fewest`` points or more than ``most``, and those that are more than
     ``widest`` cells ``across`` (components,), none = unknown. Of a cluster of more than ``enough`` points so many are
-    copied, evenly drawn: they tell its shape. Written: offsets (K + 1,), where each cluster begins in grouped_source
-    (T,), the indices of all its points, and shape (K + 1,), where it begins in flat, the head of which becomes a (4, S)
-    array of points; box (K, 8), see ``measure``. scratch (2, R + 1 and components + 1 or more) int32 has room for a
-    vector more. Returns (K, T, S).
+    copied, evenly drawn: they tell its shape; all of one that is at most ``narrow`` cells across. Written: offsets
+    (K + 1,), where each cluster begins in grouped_source (T,), the indices of all its points, and shape (K + 1,), where
+    it begins in flat, the head of which becomes a (4, S) array of points; box (K, 8), see ``measure``. scratch (2,
+    R + 1 and components + 1 or more) int32 has room for a vector more. Returns (K, T, S).
     """
     spans, number = scratch[0], scratch[1]
     begins = spans[: find_runs(label, spans) + 1]  # of runs: those of one label, one behind the other, are one span
     clusters = _number_clusters(
-        begin, label, begins, components, fewest, most, across, widest, enough, number, offsets, shape
+        begin, label, begins, components, fewest, most, across, widest, narrow, enough, number, offsets, shape
     )
     total, copied = offsets[clusters], shape[clusters]
     there = flat[: 4 * copied].reshape(4, copied)
@@ -57,7 +57,7 @@ def regroup(  # type: ignore[no-untyped-def]
 
 @inner
 def _number_clusters(  # type: ignore[no-untyped-def]
-    begin, label, begins, components, fewest, most, across, widest, enough, number, offsets, shape
+    begin, label, begins, components, fewest, most, across, widest, narrow, enough, number, offsets, shape
 ):
     """number (components + 1,): the cluster that label -1, 0, 1 ... becomes, -1 = left out. Returns how many."""
     number[: components + 1] = 0
@@ -73,7 +73,7 @@ def _number_clusters(  # type: ignore[no-untyped-def]
             number[c + 1] = clusters
             clusters += 1
             total += count
-            copied += min(count, enough)
+            copied += count if len(across) and across[c] <= narrow else min(count, enough)
     offsets[clusters], shape[clusters] = total, copied
     return clusters
 

@@ -17,7 +17,8 @@ TOUCH_M = 0.35  # up to this gap pieces may meet at any angle (the corner of a v
 SMALL_GAP_M, LARGE_GAP_M = 1.2, 3.0
 SIDE_STEP_M = 0.5  # pieces across a wider gap lie in one line to within this
 PERSON_WIDTH_M, PERSON_HEIGHT_M = 1.0, 1.0
-CYCLE_LENGTH_M, CYCLIST_TOP_M = 2.2, 1.55
+UPPER_WIDTH_M, UPPER_HEIGHT_M = 0.8, 0.2  # of a person behind another: head and shoulders at least
+CYCLE_LENGTH_M, TALL_TOP_M = 2.2, 1.55
 
 
 @inner
@@ -122,23 +123,25 @@ def _tightest(box, turned, members, a, b):  # type: ignore[no-untyped-def]
 
 @inner
 def _vulnerable(box, k):  # type: ignore[no-untyped-def]
-    """A piece with the outline of a person, or as narrow as a cyclist and taller than most cars."""
-    top = box[k, 7] + box[k, 5]
-    if top > SMALL_TOP_M or box[k, 5] < PERSON_HEIGHT_M:
-        return False
-    person = np.hypot(box[k, 3], box[k, 4]) < PERSON_WIDTH_M
-    cyclist = (box[k, 3] < CYCLE_LENGTH_M) & (box[k, 4] < PERSON_WIDTH_M) & (top > CYCLIST_TOP_M)
-    return person | cyclist
+    """A piece with the outline of a person, of the upper body of somebody behind somebody else, or as narrow as a
+    cyclist and taller than most cars."""
+    height, top, across = box[k, 5], box[k, 7] + box[k, 5], np.hypot(box[k, 3], box[k, 4])
+    upright, tall = height >= PERSON_HEIGHT_M, top > TALL_TOP_M
+    person = upright & (across < PERSON_WIDTH_M)
+    upper_body = tall & (height >= UPPER_HEIGHT_M) & (across < UPPER_WIDTH_M)
+    cyclist = upright & tall & (box[k, 3] < CYCLE_LENGTH_M) & (box[k, 4] < PERSON_WIDTH_M)
+    return (top <= SMALL_TOP_M) & (person | upper_body | cyclist)
 
 
 @inner
-def merge_fragments(box, turned, counts, min_count, group):  # type: ignore[no-untyped-def]
-    """Group number of each of K components, by union of fitting neighbours; components under ``min_count`` stay out.
+def merge_fragments(box, turned, counts, person, min_count, group):  # type: ignore[no-untyped-def]
+    """Group number of each of K components, by union of fitting neighbours; components under ``min_count`` stay out,
+    and so does who is a ``person``, (K,) bool.
 
     box (K, 8) as measured by ``kernels_clusters.measure`` and its ``directions``; group (K,) int32 is written: smallest
     member's index.
     """
-    usable = _usable(box, counts, min_count)
+    usable = _usable(box, counts, person, min_count)
     following, members = np.empty(len(counts), np.int64), np.empty(len(usable), np.int64)
     for k in range(len(counts)):
         group[k] = following[k] = k  # the members of a group stand in a ring
@@ -167,12 +170,14 @@ def _go_round(following, first, members, number):  # type: ignore[no-untyped-def
 
 
 @inner
-def _usable(box, counts, min_count):  # type: ignore[no-untyped-def]
+def _usable(box, counts, person, min_count):  # type: ignore[no-untyped-def]
     """Pieces that may be part of a vehicle, by the left end of their footprint."""
     chosen, left, n = np.empty(len(counts), np.int64), np.empty(len(counts)), 0
     for k in range(len(counts)):
         top = box[k, 7] + box[k, 5]
-        if counts[k] >= min_count and box[k, 3] <= LARGE_LENGTH_M and top <= LARGE_TOP_M and not _vulnerable(box, k):
+        if person[k] or counts[k] < min_count:
+            continue
+        if box[k, 3] <= LARGE_LENGTH_M and top <= LARGE_TOP_M and not _vulnerable(box, k):
             chosen[n], left[n] = k, box[k, 0] - 0.5 * np.hypot(box[k, 3], box[k, 4])
             n += 1
     order = rising(left[:n])

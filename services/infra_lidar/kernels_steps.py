@@ -13,6 +13,7 @@ from services.infra_lidar.kernels_clusters import regroup
 from services.infra_lidar.kernels_high import find_high, lift, put_down, spread, tall_ones
 from services.infra_lidar.kernels_labels import label_points
 from services.infra_lidar.kernels_merge import directions, merge_fragments
+from services.infra_lidar.kernels_people import part_people
 from services.infra_lidar.kernels_runs import find_runs
 from services.infra_lidar.kernels_split import second_look
 from services.infra_lidar.kernels_take import possible, take_out
@@ -22,9 +23,9 @@ SETTINGS = np.dtype(
         "per_m", "growth_per_m", "body_m", "max_height_m", "min_top_m", "max_diagonal_m",
     )]
     + [(name, np.int64) for name in (
-        "connectivity", "min_points", "max_points", "fewest", "widest", "enough",
+        "connectivity", "min_points", "max_points", "fewest", "widest", "narrow", "enough",
     )]
-    + [(name, np.bool_) for name in ("two_points", "fragments")]
+    + [(name, np.bool_) for name in ("two_points", "fragments", "heads")]
 )  # fmt: skip
 LOOK = np.dtype([(name, np.bool_) for name in ("trim", "split", "engulf")])
 INTS, FLOATS = 13, 8  # rows of scratch
@@ -59,26 +60,32 @@ def find_clusters(  # type: ignore[no-untyped-def]
     first, second = (ints[9], ints[10]), (ints[11], ints[12])  # offsets and index in the frame
     box, shape = np.empty((components, 8), np.float32), ints[8]
     count, total, copied = regroup(
-        begin[: runs + 1], label[:runs], components, s.fewest, s.max_points, across[:components], s.widest, s.enough,
-        points, source, scratch, first[0], shape, sets[0], first[1], box,
+        begin[: runs + 1], label[:runs], components, s.fewest, s.max_points, across[:components], s.widest, s.narrow,
+        s.enough, points, source, scratch, first[0], shape, sets[0], first[1], box,
     )  # fmt: skip
     grouped, offsets, index = sets[0][: 4 * copied].reshape(4, copied), first[0][: count + 1], first[1][:total]
+
+    # Groups of people
+    shape, box, person = shape[: count + 1], box[:count], np.zeros(count, np.bool_)
+    if s.heads:
+        shape, offsets, box, person = part_people(grouped, shape, index, offsets, box, s, sets[1].reshape(4, room))
+        count = len(box)
 
     # Pieces of vehicles
     group = _each_alone(count)
     if s.fragments:
-        counts, turned = offsets[1:] - offsets[:-1], directions(box[:count])
-        merge_fragments(box[:count], turned, counts, MIN_FRAGMENT_POINTS, group)
-        adopt_strays(box[:count], turned, counts, s.min_points, group)
+        counts, turned = offsets[1:] - offsets[:-1], directions(box)
+        merge_fragments(box, turned, counts, person, MIN_FRAGMENT_POINTS, group)
+        adopt_strays(box, turned, counts, s.min_points, group)
 
     # Only what is of a possible size; and the article's second look
     if look is None:
-        return take_out(grouped, shape[: count + 1], index, offsets, box, group, s, sets[1].reshape(4, room))
+        return take_out(grouped, shape, index, offsets, box, group, s, sets[1].reshape(4, room))
     all_of_them, anywhere = np.int64(1), np.int64(0)  # as literals they would be compiled once more
     if s.fragments:
         count, total, _ = regroup(
-            offsets, group, count, all_of_them, total, across[:0], anywhere, s.enough, grouped, index, scratch,
-            second[0], shape, sets[1], second[1], box,
+            offsets, group, count, all_of_them, total, across[:0], anywhere, anywhere, s.enough, grouped, index,
+            scratch, second[0], ints[8], sets[1], second[1], box,
         )  # fmt: skip
         grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
         first, sets = second, (sets[1], sets[0])
@@ -88,8 +95,8 @@ def find_clusters(  # type: ignore[no-untyped-def]
     labels = second_look(grouped, offsets, box[:count], label, look, sets[1].reshape(4, room), of_points)
     runs, box = _runs(of_points, begin, ints[1]), np.empty((labels, 8), np.float32)
     count, total, _ = regroup(
-        begin[: runs + 1], ints[1][:runs], labels, all_of_them, total, across[:0], anywhere, s.enough, grouped, index,
-        scratch, second[0], shape, sets[1], second[1], box,
+        begin[: runs + 1], ints[1][:runs], labels, all_of_them, total, across[:0], anywhere, anywhere, s.enough,
+        grouped, index, scratch, second[0], ints[8], sets[1], second[1], box,
     )  # fmt: skip
     grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
     return take_out(grouped, offsets, index, offsets, box, _each_alone(count), None, sets[0].reshape(4, room))

@@ -109,15 +109,15 @@ def test_grouped_points_and_ids_agree():
 
 
 def test_a_large_cluster_is_told_by_evenly_drawn_points_and_has_all_of_them():
-    parts = _solid(8, 0, 0.5, 0.5, 0.2, 1.7, n=200), _solid(20, 9, 4, 1.8, 0.2, 1.5, n=5000)
+    parts = _solid(8, 0, 0.5, 0.5, 0.2, 1.7, n=200), _solid(20, 9, 6.5, 1.8, 0.2, 1.5, n=5000)
     config = ClusteringConfig(shape_points=0)
     (found, owner), (whole, _) = _cluster(*parts), _cluster(*parts, config=config)
     limit = ClusteringConfig().shape_points
     assert np.array_equal(found.cluster_id(len(owner)), whole.cluster_id(len(owner)))
     assert found.counts.tolist() == whole.counts.tolist() == [200, 5000]
     assert np.diff(found.offsets).tolist() == [200, limit]
-    person, car = (found.members[a:b] for a, b in pairwise(found.member_offsets))
-    chosen = np.append(person, car[np.arange(limit) * 5000 // limit])
+    person, van = (found.members[a:b] for a, b in pairwise(found.member_offsets))
+    chosen = np.append(person, van[np.arange(limit) * 5000 // limit])
     assert np.array_equal(found.points, np.vstack(parts).astype(np.float32)[chosen])
     np.testing.assert_array_equal(found.box[0], whole.box[0])
     np.testing.assert_allclose(found.box[1, :6], whole.box[1, :6], atol=0.1)
@@ -126,13 +126,13 @@ def test_a_large_cluster_is_told_by_evenly_drawn_points_and_has_all_of_them():
 def test_points_are_drawn_alike_however_a_cluster_comes():
     """What is scanned in turns with something else comes in pieces of any length."""
     n, limit = 3000, ClusteringConfig().shape_points
-    car, wall = _solid(20, 9, 4, 1.8, 0.2, 1.5, n=n), _solid(20, -9, 4, 1.8, 0.2, 1.5, n=n, seed=1)
+    van, wall = _solid(20, 9, 6.5, 1.8, 0.2, 1.5, n=n), _solid(20, -9, 6.5, 1.8, 0.2, 1.5, n=n, seed=1)
     order = np.random.default_rng(2).permutation(2 * n)
-    found, _ = _cluster(np.vstack((car, wall))[order])
+    found, _ = _cluster(np.vstack((van, wall))[order])
     for first, last, a, b in zip(
         found.offsets, found.offsets[1:], found.member_offsets, found.member_offsets[1:], strict=False
     ):
-        mine = np.vstack((car, wall))[order][found.members[a:b]].astype(np.float32)
+        mine = np.vstack((van, wall))[order][found.members[a:b]].astype(np.float32)
         assert (b - a, last - first) == (n, limit)
         assert np.array_equal(found.points[first:last], mine[np.arange(limit) * n // limit])
 
