@@ -73,7 +73,7 @@ def _find_heads(x, y, above, cell_m, open_, heads):  # type: ignore[no-untyped-d
     for i in range(n):
         open_[i] = above[i]
     for _ in range(MOST_TRIES):
-        top, height = -1, np.float32(LOWEST_M)
+        top, height = np.int64(-1), np.float32(LOWEST_M)  # a literal would have what takes it compiled once more
         for i in range(n):
             if open_[i] > height:
                 top, height = i, open_[i]
