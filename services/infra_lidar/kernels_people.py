@@ -23,7 +23,7 @@ HEAD_M = 0.2  # across and high
 BESIDE_M = 0.25  # this near the line from head to head a point lies on the way
 SHOULDER_M = 0.2  # about what is no head nobody looks for one
 PERSON_M = 1.0  # the diagonal of one, with a bag
-MOST_HEADS, MOST_TRIES = 6, 12
+MOST_HEADS, MOST_TRIES = 6, 7
 STEPS_A_CELL, MOST_STEPS, STRETCH_CELLS = 4, 64, 0.5  # a dip is that long: two columns of returns have gone by
 
 
@@ -41,7 +41,8 @@ def part_people(points, shape, source, offsets, box, s, scratch):  # type: ignor
     heads = np.empty((MOST_HEADS, 2), np.float32)
     for k in range(clusters):
         first, last, at = shape[k], shape[k + 1], offsets[k]
-        if last - first != offsets[k + 1] - at or not _may_be_people(box[k], last - first, s):
+        enough, all_here = last - first >= 2 * s.min_points, last - first == offsets[k + 1] - at
+        if not enough or not all_here or not _may_be_people(box[k]):
             continue
         x, y, above = points[0, first:last], points[1, first:last], points[3, first:last]
         number = _find_heads(x, y, above, _cell_m(box[k], s), scratch[0], heads)
@@ -53,10 +54,11 @@ def part_people(points, shape, source, offsets, box, s, scratch):  # type: ignor
 
 
 @inner
-def _may_be_people(box, n, s):  # type: ignore[no-untyped-def]
+def _may_be_people(box):  # type: ignore[no-untyped-def]
+    """Whether a group of people can look like that."""
     top_m = box[7] + box[5]
     large = (box[5] >= SHOWN_M) & (box[3] >= NARROWEST_M) & (math.hypot(box[3], box[4]) <= WIDEST_M)
-    return large & (n >= 2 * s.min_points) & (top_m >= LOWEST_M) & (top_m <= HIGHEST_M)
+    return large & (top_m >= LOWEST_M) & (top_m <= HIGHEST_M)
 
 
 @inner
