@@ -20,6 +20,7 @@ from common.compiled_from import watch_all_sources
 from common.processor import aim_at_level
 from services.infra_lidar.code_on_demand import CodegenOnDemand
 from services.infra_lidar.direct_calls import put_down_in_place
+from services.infra_lidar.lifetimes_on_demand import ask_for_lifetimes
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -42,6 +43,7 @@ for _template, _symbols in _MEANT.items():
     for _symbol in _symbols:
         infer_global(_symbol)(type(f"{_symbol.__name__}_first", (_template,), ASKED_FIRST))
 put_down_in_place(ASKED_FIRST)
+ask_for_lifetimes()
 cpu_target.target_context.codegen().__class__ = CodegenOnDemand  # the one that there is has no other way to be replaced
 
 _NOT_FROM_C: dict[str, Any] = {"no_cfunc_wrapper": True}  # which numba's types do not know
