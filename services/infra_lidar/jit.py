@@ -18,6 +18,7 @@ from numba.core.typing.templates import infer_global
 
 from common.compiled_from import watch_all_sources
 from common.processor import aim_at_level
+from services.infra_lidar.arrays_in_place import take_arrays_in_place
 from services.infra_lidar.code_on_demand import CodegenOnDemand
 from services.infra_lidar.direct_calls import put_down_in_place
 from services.infra_lidar.lifetimes_on_demand import ask_for_lifetimes
@@ -44,6 +45,7 @@ for _template, _symbols in _MEANT.items():
         infer_global(_symbol)(type(f"{_symbol.__name__}_first", (_template,), ASKED_FIRST))
 put_down_in_place(ASKED_FIRST)
 ask_for_lifetimes()
+take_arrays_in_place()
 cpu_target.target_context.codegen().__class__ = CodegenOnDemand  # the one that there is has no other way to be replaced
 
 _NOT_FROM_C: dict[str, Any] = {"no_cfunc_wrapper": True}  # which numba's types do not know
