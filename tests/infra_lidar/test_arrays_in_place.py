@@ -112,3 +112,23 @@ def test_reading_a_number_puts_nothing_down():
     opcodes = [one.opname for one in function.entry_basic_block.instructions]
     assert "store" not in opcodes
     assert "alloca" not in opcodes
+
+
+def test_a_value_whose_address_is_asked_for_in_a_branch_is_there_for_all():
+    context, array = cpu_target.target_context, types.Array(types.float32, 1, "C")
+    function = ir.Function(
+        ir.Module(), ir.FunctionType(ir.VoidType(), [context.get_value_type(array), ir.IntType(1)]), "f"
+    )
+    entry = function.append_basic_block()
+    builder = ir.IRBuilder(entry)
+    condition = builder.not_(function.args[1])
+    described = arrayobj.make_array(array)(context, builder, function.args[0])
+    last = builder.add(ir.Constant(ir.IntType(8), 1), ir.Constant(ir.IntType(8), 1))
+    with builder.if_then(condition):
+        place = described._getpointer()
+        after = builder.load(place)
+    (stored,) = (one for block in function.blocks for one in block.instructions if one.opname == "store")
+    assert stored.operands == [function.args[0], place]
+    assert entry.instructions.index(condition) < entry.instructions.index(stored) < entry.instructions.index(last)
+    assert after.parent is not entry  # whoever asked goes on where they were
+    assert entry.instructions[-1].opname == "br"
