@@ -55,15 +55,13 @@ def find_clusters(  # type: ignore[no-untyped-def]
         runs, components = _label_high(points, m, s, runs, components, ints, floats, grid, touched, row_start)
 
     # What may be a cluster or a part of one, as copies that lie together
-    scratch, room = ints[3:5], floats.shape[1]
-    sets = floats[:4].reshape(4 * room), floats[4:8].reshape(4 * room)
-    first, second = (ints[9], ints[10]), (ints[11], ints[12])  # offsets and index in the frame
+    room, sets = floats.shape[1], (floats[:4].reshape(-1), floats[4:8].reshape(-1))
     box, shape = np.empty((components, 8), np.float32), ints[8]
     count, total, copied = regroup(
         begin[: runs + 1], label[:runs], components, s.fewest, s.max_points, across[:components], s.widest, s.narrow,
-        s.enough, points, source, scratch, first[0], shape, sets[0], first[1], box,
+        s.enough, points, source, ints[3:5], ints[9], shape, sets[0], ints[10], box,
     )  # fmt: skip
-    grouped, offsets, index = sets[0][: 4 * copied].reshape(4, copied), first[0][: count + 1], first[1][:total]
+    grouped, offsets, index = sets[0][: 4 * copied].reshape(4, copied), ints[9][: count + 1], ints[10][:total]
 
     # Groups of people
     shape, box, person = shape[: count + 1], box[:count], np.zeros(count, np.bool_)
@@ -81,21 +79,29 @@ def find_clusters(  # type: ignore[no-untyped-def]
     # Only what is of a possible size; and the article's second look
     if look is None:
         return take_out(grouped, shape, index, offsets, box, group, s, sets[1].reshape(4, room))
-    all_of_them, anywhere = np.int64(1), np.int64(0)  # as literals they would be compiled once more
+    return _look_again(grouped, index, offsets, box, group, s, look, ints, sets)
+
+
+@inner
+def _look_again(grouped, index, offsets, box, group, s, look, ints, sets):  # type: ignore[no-untyped-def]
+    """What ``find_clusters`` returns, of clusters all of whose points lie in sets[0]: pieces joined, and looked at
+    once more."""
+    count, total, room = len(offsets) - 1, len(index), len(sets[0]) // 4
+    begin, scratch, second = ints[0], ints[3:5], (ints[11], ints[12])
+    all_of_them, anywhere, across = np.int64(1), np.int64(0), ints[2, :0]  # literals would have it compiled once more
     if s.fragments:
         count, total, _ = regroup(
-            offsets, group, count, all_of_them, total, across[:0], anywhere, anywhere, s.enough, grouped, index,
+            offsets, group, count, all_of_them, total, across, anywhere, anywhere, s.enough, grouped, index,
             scratch, second[0], ints[8], sets[1], second[1], box,
         )  # fmt: skip
         grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
-        first, sets = second, (sets[1], sets[0])
-        second = (ints[9], ints[10])
+        second, sets = (ints[9], ints[10]), (sets[1], sets[0])
     label, of_points = ints[5][:count], ints[4][:total]
     possible(box[:count], offsets, s, label)
     labels = second_look(grouped, offsets, box[:count], label, look, sets[1].reshape(4, room), of_points)
     runs, box = _runs(of_points, begin, ints[1]), np.empty((labels, 8), np.float32)
     count, total, _ = regroup(
-        begin[: runs + 1], ints[1][:runs], labels, all_of_them, total, across[:0], anywhere, anywhere, s.enough,
+        begin[: runs + 1], ints[1][:runs], labels, all_of_them, total, across, anywhere, anywhere, s.enough,
         grouped, index, scratch, second[0], ints[8], sets[1], second[1], box,
     )  # fmt: skip
     grouped, offsets, index = sets[1][: 4 * total].reshape(4, total), second[0][: count + 1], second[1][:total]
