@@ -108,20 +108,22 @@ def sift_image(range_m, cos, sin, bank, beams, columns, packed, near_m, source, 
     for row in range(rows):
         ahead = np.int64(first[min(row + AHEAD, rows - 1)])
         for i in range(0, width, LINE):  # bring them nearer: since the last frame all memory was used for else
-            prefetch(one, ahead + i)
-            prefetch(other, ahead + i)
             prefetch(flat, (row + AHEAD) * width + i)
         for i in range(0, width, LANES):
             at, cell = row * width + i, np.int64(first[row]) + i
             r = load(flat, at)
             squared = r * r
             there = (squared > NO_RETURN_M2) & (squared < FAR_M2)
+            if lane_count(there) == 0:  # the sky: nothing to compare, and most likely nothing ahead
+                continue
+            prefetch(one, ahead + i)
             returns += ones(there)
             near += ones(there & (squared < near_m2))
             step = smaller((bits(squared) - LEAST_BITS) >> 13, LAST_STEP)
             unusual = there & ~between(step, load(one, cell))
             if lane_count(unusual) == 0:
                 continue
+            prefetch(other, ahead + i)
             unusual = unusual & ~between(step, load(other, cell))
             found = lane_count(unusual)
             if found > 0:
