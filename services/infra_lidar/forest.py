@@ -17,6 +17,7 @@ import numpy as np
 
 from common.config import ConfigError
 from services.infra_lidar.forest_walk import COLUMN_BITS, NO_NUMBER, TOGETHER, calibrate, settled, walk
+from services.infra_lidar.vectors import LANES
 
 _ARRAYS = ("feature", "threshold", "child", "leaf", "value", "root", "calibration_x", "calibration_y")
 
@@ -78,7 +79,13 @@ class Forest:
         high: np.ndarray | None,
     ) -> None:  # fmt: skip
         nodes, limits = self._packed(column)
-        walk(rows, nodes, limits, self.value, self.root, column, queue, out, low, high)
+        walk(rows, nodes, limits, self._value, self.root, column, queue, out, low, high)
+
+    @cached_property
+    def _value(self) -> np.ndarray:
+        """``value`` with room for a vector behind it."""
+        roomy = np.concatenate((self.value.ravel(), np.zeros(LANES, np.float32)))
+        return roomy[: self.value.size].reshape(self.value.shape)
 
     @cached_property
     def _asked(self) -> dict[int, int]:

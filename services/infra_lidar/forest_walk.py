@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, inner, kernel
-from services.infra_lidar.vectors import prefetch
+from services.infra_lidar.vectors import LANES, load, prefetch, store
 
 COLUMN_BITS = 8  # so many columns of x, and 2 ** 23 nodes, fit into a word
 NO_NUMBER, ROW = np.int32(0x7FC00000), np.int32(0x003FFFFF)  # bits of a float: not a number, and what it may say of it
@@ -31,16 +31,19 @@ def walk(
     """Mean class shares (K, C) of the trees into ``out``.
 
     nodes (2 N,) int32: child and column in one word, then the bits of the threshold, of a leaf those of what is not a
-    number, ending in its row of ``value`` (L, C); limits: the same as float32. The column of a leaf is the open one if
-    a node above it asks for that, else another. The least and most that the shares can be, whatever the open column
-    holds, go into ``low`` and ``high`` (K, C); ``queue`` (2, room) int32 needs room for ``TOGETHER`` of each node that
-    asks for it, and ``TOGETHER`` more. Without them no column is open, and what is done for it is not even compiled.
+    number, ending in its row of ``value`` (L, C), behind which there is room for a vector; limits: the same as float32.
+    The column of a leaf is the open one if a node above it asks for that, else another. The least and most that the
+    shares can be, whatever the open column holds, go into ``low`` and ``high`` (K, C); ``queue`` (2, room) int32 needs
+    room for ``TOGETHER`` of each node that asks for it, and ``TOGETHER`` more. Without them no column is open, and what
+    is done for it is not even compiled.
 
     All rows walk a tree before the next one is touched: so every node comes from memory once a frame.
     """
     trees, rows, classes = len(root), len(x), value.shape[1]
     here, shares = _numbers(x), value.reshape(value.size)
-    total = np.zeros((3, rows + TOGETHER, classes), np.float32)  # of the trees, what other ways take off, and add
+    width = classes + -classes % LANES  # whole vectors
+    total = np.zeros((rows + TOGETHER) * width, np.float32)  # of the trees
+    change = np.zeros((2, rows + TOGETHER, classes), np.float32)  # what other ways take off, and add
     at, columns = np.empty(TOGETHER, np.uint32), x.shape[1]
     for tree in range(trees):
         _fetch(nodes, root, tree + 1)
@@ -48,20 +51,22 @@ def walk(
             _descend(here[first * columns :], columns, nodes, limits, root[tree], at)
             opened = _note(nodes, at, min(TOGETHER, rows - first), root[tree], open_column, queue)
             for k in range(TOGETHER):
-                at[k] = (nodes[2 * at[k] + 1] & ROW) * classes  # where its shares begin
-                for c in range(classes):
-                    total[0, first + k, c] += shares[at[k] + c]
+                at[k] = (nodes[2 * at[k] + 1] & ROW) * classes  # where its shares begin; those of others follow
+                row = (first + k) * width
+                for c in range(0, width, LANES):
+                    store(total, row + c, load(total, row + c) + load(shares, at[k] + c))
             if queue is not None:
                 _add_doubts(
                     here[first * columns :], columns, nodes, limits, shares, classes, at, opened, open_column, queue,
-                    total[:, first:],
+                    change[:, first:],
                 )  # fmt: skip
     for k in range(rows):
         for c in range(classes):
-            out[k, c] = total[0, k, c] / np.float32(trees)
+            summed = total[k * width + c]
+            out[k, c] = summed / np.float32(trees)
             if low is not None and high is not None:
-                low[k, c] = (total[0, k, c] + total[1, k, c]) / np.float32(trees)
-                high[k, c] = (total[0, k, c] + total[2, k, c]) / np.float32(trees)
+                low[k, c] = (summed + change[0, k, c]) / np.float32(trees)
+                high[k, c] = (summed + change[1, k, c]) / np.float32(trees)
 
 
 @inner
@@ -122,7 +127,7 @@ def _note(nodes, at, rows, root, open_column, queue):  # type: ignore[no-untyped
 @inner
 def _add_doubts(
     here: np.ndarray, columns: int, nodes: np.ndarray, limits: np.ndarray, shares: np.ndarray, classes: int,
-    begin: np.ndarray, opened: int, open_column: int, queue: np.ndarray, total: np.ndarray,
+    begin: np.ndarray, opened: int, open_column: int, queue: np.ndarray, change: np.ndarray,
 ) -> None:  # fmt: skip
     """Walk once more, then the ways not taken, and those not taken on them. What an end has less, or more, of a class
     than the one that was reached is added to what can be lost, or won, of it: at most one of a tree's ends is reached,
@@ -141,11 +146,11 @@ def _add_doubts(
             at = following + right
         leaf = (nodes[2 * at + 1] & ROW) * classes
         for c in range(classes):
-            change = shares[leaf + c] - shares[begin[row] + c]
-            if change < 0.0:
-                total[1, row, c] += change
+            more = shares[leaf + c] - shares[begin[row] + c]
+            if more < 0.0:
+                change[0, row, c] += more
             else:
-                total[2, row, c] += change
+                change[1, row, c] += more
         k += 1
 
 
