@@ -14,6 +14,23 @@ import numpy as np
 
 from services.infra_lidar.jit import inner
 from services.infra_lidar.kernels_clusters import measure
+from services.infra_lidar.vectors import (
+    LANES,
+    fma,
+    lane_count,
+    lane_max,
+    lane_sum,
+    lanes,
+    larger,
+    load,
+    magnitude,
+    ones,
+    select,
+    smaller,
+    splat,
+    store,
+    store_chosen,
+)
 
 NARROWEST_M, WIDEST_M = 0.6, 2.5  # a group of people: it is longer than the one, its diagonal shorter than the other
 SHOWN_M = 0.8  # of their height at least: less may be the roof of a car
@@ -45,7 +62,7 @@ def part_people(points, shape, source, offsets, box, s, scratch):  # type: ignor
         if not enough or not all_here or not _may_be_people(box[k]):
             continue
         x, y, above = points[0, first:last], points[1, first:last], points[3, first:last]
-        number = _find_heads(x, y, above, _cell_m(box[k], s), scratch[0], heads)
+        number = _find_heads(x, y, above, _cell_m(box[k], s), scratch, heads)
         if number > 1 and _sort(points, first, source[at : at + last - first], heads[:number], s, scratch, sizes[k]):
             parts[k], more = number, more + number - 1
     if more == 0:
@@ -68,61 +85,92 @@ def _cell_m(box, s):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _find_heads(x, y, above, cell_m, open_, heads):  # type: ignore[no-untyped-def]
-    """heads (MOST_HEADS, 2): x and y of the heads of points (n,), the highest first; returns how many there are. open_
-    (n or more,) float32 is scratch."""
-    n, number = len(x), 0
-    for i in range(n):
-        open_[i] = above[i]
+def _find_heads(x, y, above, cell_m, scratch, heads):  # type: ignore[no-untyped-def]
+    """heads (MOST_HEADS, 2): x and y of the heads of points (n,), the highest first; returns how many there are.
+    scratch (3 or more, n and a vector or more) float32."""
+    n, number, open_ = len(x), 0, scratch[0]
+    for i in range(0, n, LANES):
+        store(open_, i, load(above, i))
+    store(open_, n, splat(np.float32(0.0)))
     for _ in range(MOST_TRIES):
-        top, height = np.int64(-1), np.float32(LOWEST_M)  # a literal would have what takes it compiled once more
-        for i in range(n):
-            if open_[i] > height:
-                top, height = i, open_[i]
+        top = _highest(open_, n)
         if top < 0 or number == MOST_HEADS:
             break
         at_x, at_y = _middle(x, y, above, top)
-        closed_m = SHOULDER_M
-        if _dips(x, y, above, at_x, at_y, height, heads[:number], cell_m):
-            heads[number, 0], heads[number, 1], closed_m = at_x, at_y, APART_M
+        closed_m2 = np.float32(SHOULDER_M * SHOULDER_M)
+        if _dips(x, y, above, at_x, at_y, above[top], heads[:number], cell_m, scratch[1:]):
+            heads[number, 0], heads[number, 1], closed_m2 = at_x, at_y, np.float32(APART_M * APART_M)
             number += 1
-        for i in range(n):
-            if (x[i] - at_x) ** 2 + (y[i] - at_y) ** 2 < closed_m**2:
-                open_[i] = 0.0
+        for i in range(0, n, LANES):
+            dx, dy = load(x, i) - at_x, load(y, i) - at_y
+            store(open_, i, select(fma(dx, dx, dy * dy) < closed_m2, np.float32(0.0), load(open_, i)))
         open_[top] = 0.0
     return number
 
 
 @inner
-def _middle(x, y, above, top):  # type: ignore[no-untyped-def]
-    """x and y of the middle of the head whose highest point is ``top``."""
-    sum_x, sum_y, count = np.float32(0.0), np.float32(0.0), 0
-    for i in range(len(x)):
-        if above[i] > above[top] - HEAD_M and (x[i] - x[top]) ** 2 + (y[i] - y[top]) ** 2 < HEAD_M**2:
-            sum_x, sum_y, count = sum_x + x[i], sum_y + y[i], count + 1
-    return sum_x / count, sum_y / count
+def _highest(height, n):  # type: ignore[no-untyped-def]
+    """Index of the first of the highest, -1 where none can be a head; behind n heights there is a vector of noughts."""
+    highest = splat(np.float32(LOWEST_M))
+    for i in range(0, n, LANES):
+        highest = larger(highest, load(height, i))
+    top_m, top = lane_max(highest), np.int64(0)  # a literal would have what takes it compiled once more
+    if top_m <= np.float32(LOWEST_M):
+        return np.int64(-1)
+    while height[top] < top_m:
+        top += 1
+    return top
 
 
 @inner
-def _dips(x, y, above, at_x, at_y, top_m, heads, cell_m):  # type: ignore[no-untyped-def]
+def _middle(x, y, above, top):  # type: ignore[no-untyped-def]
+    """x and y of the middle of the head whose highest point is ``top``."""
+    n, none, number = len(x), splat(np.float32(0.0)), splat(np.int32(0))
+    sum_x, sum_y, lowest_m = none, none, above[top] - np.float32(HEAD_M)
+    for i in range(0, n, LANES):
+        dx, dy = load(x, i) - x[top], load(y, i) - y[top]
+        here = (load(above, i) > lowest_m) & (fma(dx, dx, dy * dy) < np.float32(HEAD_M * HEAD_M))
+        here &= lanes() < np.int32(n - i)
+        sum_x, sum_y, number = sum_x + select(here, dx, none), sum_y + select(here, dy, none), number + ones(here)
+    count = np.float32(lane_sum(number))
+    return x[top] + lane_sum(sum_x) / count, y[top] + lane_sum(sum_y) / count
+
+
+@inner
+def _dips(x, y, above, at_x, at_y, top_m, heads, cell_m, scratch):  # type: ignore[no-untyped-def]
     """Whether the way from a top to each of the heads dips: whether some stretch of it is low."""
     height = np.empty(MOST_STEPS, np.float32)
     for h in range(len(heads)):
         dx, dy = heads[h, 0] - at_x, heads[h, 1] - at_y
-        way_m = math.hypot(dx, dy)
+        way_m = np.sqrt(dx * dx + dy * dy)
         if way_m < HEAD_M:
             return False
         steps = min(math.ceil(STEPS_A_CELL * way_m / cell_m), MOST_STEPS)
+        per_m = np.float32(steps / way_m)
+        on_it = _on_the_way(x, y, above, at_x, at_y, dx / way_m, dy / way_m, np.float32(way_m), scratch)
         height[:steps] = 0.0
-        c, s, per_m = dx / way_m, dy / way_m, steps / way_m
-        for i in range(len(x)):
-            ax, ay = x[i] - at_x, y[i] - at_y
-            along = (ax * c + ay * s) * per_m
-            if 0.0 <= along < steps and abs(ay * c - ax * s) < BESIDE_M:
-                height[int(along)] = max(height[int(along)], above[i])
+        for i in range(on_it):
+            step = min(int(scratch[0, i] * per_m), steps - 1)  # it may be rounded up
+            height[step] = max(height[step], scratch[1, i])
         if top_m - _lowest_stretch(height[:steps], math.ceil(STRETCH_CELLS * cell_m * per_m)) < DIP_M:
             return False
     return True
+
+
+@inner
+def _on_the_way(x, y, above, at_x, at_y, c, s, way_m, scratch):  # type: ignore[no-untyped-def]
+    """How far on a way, from (at_x, at_y) in direction (c, s), the points beside it are, and their heights, to the rows
+    of scratch; returns how many they are."""
+    n, m, far, high = len(x), 0, scratch[0], scratch[1]
+    for i in range(0, n, LANES):
+        ax, ay = load(x, i) - at_x, load(y, i) - at_y
+        along, across = fma(ax, c, ay * s), fma(ay, c, ax * -s)
+        here = (along >= np.float32(0.0)) & (along < way_m) & (magnitude(across) < np.float32(BESIDE_M))
+        here &= lanes() < np.int32(n - i)
+        store_chosen(far, m, along, here)
+        store_chosen(high, m, load(above, i), here)
+        m += lane_count(here)
+    return m
 
 
 @inner
@@ -142,14 +190,9 @@ def _sort(points, first, source, heads, s, scratch, sizes):  # type: ignore[no-u
     """Sort the points of a cluster, (4, n) from ``first`` on and their source (n,), by the nearest head, if what each
     gets, sizes (MOST_HEADS,), is of a person's size. Returns whether."""
     n, number = len(source), len(heads)
-    nearest, begin = np.empty(n, np.int32), np.zeros(number + 1, np.int32)
+    nearest, begin = np.empty(n + LANES, np.int32), np.zeros(number + 1, np.int32)
+    _assign(points[0, first : first + n], points[1, first : first + n], heads, nearest)
     for i in range(n):
-        best_m2 = np.float32(np.inf)
-        for h in range(number):
-            dx = points[0, first + i] - heads[h, 0]
-            dy = points[1, first + i] - heads[h, 1]
-            if dx * dx + dy * dy < best_m2:
-                best_m2, nearest[i] = dx * dx + dy * dy, h
         begin[nearest[i] + 1] += 1
     for h in range(number):
         sizes[h] = begin[h + 1]
@@ -167,6 +210,19 @@ def _sort(points, first, source, heads, s, scratch, sizes):  # type: ignore[no-u
         for row in range(4):
             points[row, first + i] = scratch[row, i]
     return True
+
+
+@inner
+def _assign(x, y, heads, nearest):  # type: ignore[no-untyped-def]
+    """nearest (n,) int32, with room for a vector more: which of the heads is the nearest to each point."""
+    for i in range(0, len(x), LANES):
+        best_m2, best = splat(np.float32(np.inf)), splat(np.int32(0))
+        for h in range(len(heads)):
+            dx, dy = load(x, i) - heads[h, 0], load(y, i) - heads[h, 1]
+            distance_m2 = fma(dx, dx, dy * dy)
+            best = select(distance_m2 < best_m2, splat(np.int32(h)), best)
+            best_m2 = smaller(distance_m2, best_m2)
+        store(nearest, i, best)
 
 
 @inner
