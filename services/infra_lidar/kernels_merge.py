@@ -9,7 +9,21 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.jit import inline, inner
+from services.infra_lidar.kernels_footprints import (
+    COS,
+    HALF_LENGTH,
+    HALF_WIDTH,
+    ROWS,
+    SIN,
+    X,
+    Y,
+    extent,
+    highest,
+    side_by_side,
+    width_of,
+)
 from services.infra_lidar.ordering import rising
+from services.infra_lidar.vectors import LANES
 
 SMALL_LENGTH_M, SMALL_WIDTH_M, SMALL_TOP_M = 5.3, 2.2, 2.2
 LARGE_LENGTH_M, LARGE_WIDTH_M, LARGE_TOP_M = 14.0, 3.3, 4.5
@@ -22,98 +36,59 @@ CYCLE_LENGTH_M, TALL_TOP_M = 2.2, 1.55
 
 
 @inner
-def directions(box):  # type: ignore[no-untyped-def]
-    """(K, 2) float32: cosine and sine of each yaw."""
-    turned = np.empty((len(box), 2), np.float32)
-    for k in range(len(box)):
-        turned[k, 0], turned[k, 1] = 1.0, 0.0
-        if box[k, 6] != 0.0:  # most pieces are a single return
-            turned[k, 0], turned[k, 1] = np.cos(box[k, 6]), np.sin(box[k, 6])
-    return turned
-
-
-@inner
-def _corners(box, turned):  # type: ignore[no-untyped-def]
+def _corners(foot):  # type: ignore[no-untyped-def]
     """(K, 4, 2): the corners of each footprint."""
-    corners = np.empty((len(box), 4, 2))
-    for k in range(len(box)):
-        c, s = turned[k, 0], turned[k, 1]
+    corners = np.empty((foot.shape[1], 4, 2))
+    for k in range(foot.shape[1]):
+        c, s = foot[COS, k], foot[SIN, k]
         for i in range(4):
-            u = 0.5 * box[k, 3] * (1.0 if i & 1 else -1.0)
-            v = 0.5 * box[k, 4] * (1.0 if i & 2 else -1.0)
-            corners[k, i, 0], corners[k, i, 1] = box[k, 0] + c * u - s * v, box[k, 1] + s * u + c * v
+            u = foot[HALF_LENGTH, k] * (1.0 if i & 1 else -1.0)
+            v = foot[HALF_WIDTH, k] * (1.0 if i & 2 else -1.0)
+            corners[k, i, 0], corners[k, i, 1] = foot[X, k] + c * u - s * v, foot[Y, k] + s * u + c * v
     return corners
 
 
 @inner
-def _gap(box, turned, corners, a, b):  # type: ignore[no-untyped-def]
+def _gap(foot, corners, a, b):  # type: ignore[no-untyped-def]
     """Distance of footprints: the smallest from a corner of one to the other."""
     nearest = np.inf
     for swap in range(2):
         p, q = (a, b) if swap == 0 else (b, a)
-        c, s = turned[q, 0], turned[q, 1]
+        c, s = foot[COS, q], foot[SIN, q]
         for i in range(4):
-            dx, dy = corners[p, i, 0] - box[q, 0], corners[p, i, 1] - box[q, 1]
-            u = max(abs(c * dx + s * dy) - 0.5 * box[q, 3], 0.0)
-            v = max(abs(c * dy - s * dx) - 0.5 * box[q, 4], 0.0)
+            dx, dy = corners[p, i, 0] - foot[X, q], corners[p, i, 1] - foot[Y, q]
+            u = max(abs(c * dx + s * dy) - foot[HALF_LENGTH, q], 0.0)
+            v = max(abs(c * dy - s * dx) - foot[HALF_WIDTH, q], 0.0)
             nearest = min(nearest, u * u + v * v)
     return np.sqrt(nearest)
 
 
 @inner
-def interval(box, turned, k, c, s):  # type: ignore[no-untyped-def]
-    """Extent of footprint k along the direction (c, s) and across it."""
-    u, v = c * box[k, 0] + s * box[k, 1], c * box[k, 1] - s * box[k, 0]
-    own_c, own_s = turned[k, 0], turned[k, 1]
-    dot, cross = abs(own_c * c + own_s * s), abs(own_c * s - own_s * c)
-    half_u = 0.5 * (box[k, 3] * dot + box[k, 4] * cross)
-    half_v = 0.5 * (box[k, 3] * cross + box[k, 4] * dot)
-    return u - half_u, u + half_u, v - half_v, v + half_v
-
-
-@inner
-def extent(box, turned, members, c, s):  # type: ignore[no-untyped-def]
-    """The same of all members together."""
-    u0 = v0 = np.inf
-    u1 = v1 = -np.inf
-    for k in members:
-        a, b, d, e = interval(box, turned, k, c, s)
-        u0, u1, v0, v1 = min(u0, a), max(u1, b), min(v0, d), max(v1, e)
-    return u0, u1, v0, v1
-
-
-@inner
-def _fits(box, turned, members, a, b, gap):  # type: ignore[no-untyped-def]
-    """Whether the members, of which a and b are ``gap`` apart, can be one vehicle."""
-    top = 0.0
-    for k in members:
-        top = max(top, box[k, 7] + box[k, 5])
+def _fits(foot, pieces, n, a, b, gap):  # type: ignore[no-untyped-def]
+    """Whether n pieces side by side, of which a and b are ``gap`` apart, can be one vehicle."""
+    top = highest(pieces, n)
     large = LARGE_TOP_M >= top > SMALL_TOP_M
     if top > LARGE_TOP_M or gap > (LARGE_GAP_M if large else SMALL_GAP_M):
         return False
-    c, s, length, width = _tightest(box, turned, members, a, b)
+    c, s, length, width = _tightest(foot, pieces, n, a, b)
     if length > (LARGE_LENGTH_M if large else SMALL_LENGTH_M) or width > (LARGE_WIDTH_M if large else SMALL_WIDTH_M):
         return False
-    if gap <= TOUCH_M:
-        return True
-    _, _, a0, a1 = interval(box, turned, a, c, s)
-    _, _, b0, b1 = interval(box, turned, b, c, s)
-    return width <= max(a1 - a0, b1 - b0) + SIDE_STEP_M
+    return gap <= TOUCH_M or width <= max(width_of(foot, a, c, s), width_of(foot, b, c, s)) + SIDE_STEP_M
 
 
 @inner
-def _tightest(box, turned, members, a, b):  # type: ignore[no-untyped-def]
-    """The direction (c, s) along which the members need the least area, its length and its width: that of a, that of b,
+def _tightest(foot, pieces, n, a, b):  # type: ignore[no-untyped-def]
+    """The direction (c, s) along which the pieces need the least area, its length and its width: that of a, that of b,
     or the one from a to b."""
-    dx, dy = box[b, 0] - box[a, 0], box[b, 1] - box[a, 1]
-    apart = max(np.hypot(dx, dy), 1e-6)
-    best, length, width, best_c, best_s = np.inf, 0.0, 0.0, 1.0, 0.0
+    dx, dy, none = foot[X, b] - foot[X, a], foot[Y, b] - foot[Y, a], np.float32(0.0)
+    apart = max(np.sqrt(dx * dx + dy * dy), np.float32(1e-6))
+    best, length, width, best_c, best_s = np.float32(np.inf), none, none, np.float32(1.0), none
     for i in range(3):
         c, s = dx / apart, dy / apart
         if i < 2:
             k = a if i == 0 else b
-            c, s = turned[k, 0], turned[k, 1]
-        u0, u1, v0, v1 = extent(box, turned, members, c, s)
+            c, s = foot[COS, k], foot[SIN, k]
+        u0, u1, v0, v1 = extent(pieces, n, c, s)
         if (u1 - u0) * (v1 - v0) < best:
             best, length, width, best_c, best_s = (u1 - u0) * (v1 - v0), u1 - u0, v1 - v0, c, s
     if width > length:
@@ -121,11 +96,16 @@ def _tightest(box, turned, members, a, b):  # type: ignore[no-untyped-def]
     return best_c, best_s, length, width
 
 
+@inline
+def _diagonal(box, k):  # type: ignore[no-untyped-def]
+    return np.sqrt(box[k, 3] * box[k, 3] + box[k, 4] * box[k, 4])
+
+
 @inner
 def _vulnerable(box, k):  # type: ignore[no-untyped-def]
     """A piece with the outline of a person, of the upper body of somebody behind somebody else, or as narrow as a
     cyclist and taller than most cars."""
-    height, top, across = box[k, 5], box[k, 7] + box[k, 5], np.hypot(box[k, 3], box[k, 4])
+    height, top, across = box[k, 5], box[k, 7] + box[k, 5], _diagonal(box, k)
     upright, tall = height >= PERSON_HEIGHT_M, top > TALL_TOP_M
     person = upright & (across < PERSON_WIDTH_M)
     upper_body = tall & (height >= UPPER_HEIGHT_M) & (across < UPPER_WIDTH_M)
@@ -134,28 +114,30 @@ def _vulnerable(box, k):  # type: ignore[no-untyped-def]
 
 
 @inner
-def merge_fragments(box, turned, counts, person, min_count, group):  # type: ignore[no-untyped-def]
+def merge_fragments(box, foot, counts, person, min_count, group):  # type: ignore[no-untyped-def]
     """Group number of each of K components, by union of fitting neighbours; components under ``min_count`` stay out,
     and so does who is a ``person``, (K,) bool.
 
-    box (K, 8) as measured by ``kernels_clusters.measure`` and its ``directions``; group (K,) int32 is written: smallest
+    box (K, 8) as measured by ``kernels_clusters.measure`` and its ``footprints``; group (K,) int32 is written: smallest
     member's index.
     """
     usable = _usable(box, counts, person, min_count)
-    following, members = np.empty(len(counts), np.int64), np.empty(len(usable), np.int64)
+    following, members = np.empty(len(counts), np.int64), np.empty(len(usable) + LANES, np.int32)
+    pieces = np.empty((ROWS, len(usable) + LANES), np.float32)
     for k in range(len(counts)):
         group[k] = following[k] = k  # the members of a group stand in a ring
-    pairs, gaps = _near_pairs(box, turned, _corners(box, turned), usable)
+    pairs, gaps = _near_pairs(box, foot, _corners(foot), usable)
     for p in rising(gaps):
         a, b = pairs[p, 0], pairs[p, 1]
         ga, gb = group[a], group[b]
         if ga == gb:
             continue
         number = _go_round(following, b, members, _go_round(following, a, members, 0))
-        if _fits(box, turned, members[:number], a, b, gaps[p]):
+        side_by_side(foot, members, number, pieces)
+        if _fits(foot, pieces, number, a, b, gaps[p]):
             following[a], following[b] = following[b], following[a]
-            for k in members[:number]:
-                group[k] = min(ga, gb)
+            for i in range(number):
+                group[members[i]] = min(ga, gb)
 
 
 @inline
@@ -178,7 +160,7 @@ def _usable(box, counts, person, min_count):  # type: ignore[no-untyped-def]
         if person[k] or counts[k] < min_count:
             continue
         if box[k, 3] <= LARGE_LENGTH_M and top <= LARGE_TOP_M and not _vulnerable(box, k):
-            chosen[n], left[n] = k, box[k, 0] - 0.5 * np.hypot(box[k, 3], box[k, 4])
+            chosen[n], left[n] = k, box[k, 0] - 0.5 * _diagonal(box, k)
             n += 1
     order = rising(left[:n])
     for i in range(n):
@@ -187,12 +169,12 @@ def _usable(box, counts, person, min_count):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _near_pairs(box, turned, corners, usable):  # type: ignore[no-untyped-def]
+def _near_pairs(box, foot, corners, usable):  # type: ignore[no-untyped-def]
     """Pairs of pieces no farther apart than the widest gap, with the gap; ``usable`` is sorted by left end."""
     pairs = np.empty((16 * len(usable) + 16, 2), np.int64)
     gaps, half = np.empty(len(pairs)), np.empty(len(box))
     for k in usable:
-        half[k] = 0.5 * np.hypot(box[k, 3], box[k, 4])
+        half[k] = 0.5 * _diagonal(box, k)
     n = 0
     for i in range(len(usable)):
         a = usable[i]
@@ -205,7 +187,7 @@ def _near_pairs(box, turned, corners, usable):  # type: ignore[no-untyped-def]
             dx, dy, apart = box[b, 0] - box[a, 0], box[b, 1] - box[a, 1], half[a] + half[b] + widest
             if dx * dx + dy * dy > apart * apart or n == len(pairs):
                 continue
-            gap = _gap(box, turned, corners, a, b)
+            gap = _gap(foot, corners, a, b)
             if gap <= widest:
                 pairs[n, 0], pairs[n, 1], gaps[n] = a, b, gap
                 n += 1

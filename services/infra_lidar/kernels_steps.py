@@ -10,9 +10,10 @@ import numpy as np
 from services.infra_lidar.jit import inner, kernel
 from services.infra_lidar.kernels_adopt import adopt_strays
 from services.infra_lidar.kernels_clusters import regroup
+from services.infra_lidar.kernels_footprints import footprints
 from services.infra_lidar.kernels_high import find_high, lift, put_down, spread, tall_ones
 from services.infra_lidar.kernels_labels import label_points
-from services.infra_lidar.kernels_merge import directions, merge_fragments
+from services.infra_lidar.kernels_merge import merge_fragments
 from services.infra_lidar.kernels_people import part_people
 from services.infra_lidar.kernels_runs import find_runs
 from services.infra_lidar.kernels_split import second_look
@@ -72,9 +73,9 @@ def find_clusters(  # type: ignore[no-untyped-def]
     # Pieces of vehicles
     group = _each_alone(count)
     if s.fragments:
-        counts, turned = offsets[1:] - offsets[:-1], directions(box)
-        merge_fragments(box, turned, counts, person, MIN_FRAGMENT_POINTS, group)
-        adopt_strays(box, turned, counts, s.min_points, group)
+        counts, foot = offsets[1:] - offsets[:-1], footprints(box)
+        merge_fragments(box, foot, counts, person, MIN_FRAGMENT_POINTS, group)
+        adopt_strays(foot, counts, s.min_points, group)
 
     # Only what is of a possible size; and the article's second look
     if look is None:

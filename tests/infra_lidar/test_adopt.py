@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.infra_lidar import kernels_adopt
+from services.infra_lidar import kernels_adopt, kernels_footprints
 from services.infra_lidar.jit import alone
 
 adopt_strays = alone(kernels_adopt.adopt_strays)
+footprints = alone(kernels_footprints.footprints)
 END_FACE = (60.0, 0.0, 1.6, 2.4, 0.1, 2.6, np.pi / 2, 0.3)  # x, y, z, length, width, height, yaw, gap to the road
 FEW = 10
 
@@ -20,8 +21,7 @@ def _point(x, y, above=1.5):
 def _adopt(pieces, counts, group=None):
     box, counts = np.array(pieces, np.float32), np.array(counts, np.int64)
     group = np.arange(len(box), dtype=np.int32) if group is None else np.array(group, np.int32)
-    turned = np.column_stack((np.cos(box[:, 6]), np.sin(box[:, 6])))
-    adopt_strays(box, turned, counts, FEW, group)
+    adopt_strays(footprints(box), counts, FEW, group)
     return group
 
 
