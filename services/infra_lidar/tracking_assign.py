@@ -83,9 +83,9 @@ def easy_pairs(
 def allowed_pairs(tracks: np.ndarray, detections: np.ndarray, p: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Track, detection and cost of every pair within the gate, three arrays of one length."""
     count = len(detections)
-    x, extent, widest = np.empty(count), np.empty(count), 0.0
+    x, y, extent, widest = np.empty(count), np.empty(count), np.empty(count), 0.0
     for d in range(count):
-        x[d] = detections[d].position[0]
+        x[d], y[d] = detections[d].position[0], detections[d].position[1]
         extent[d] = 0.5 * (detections[d].size[0] + detections[d].size[1]) if p.visible else 0.0
         widest = max(widest, extent[d])
     order = rising(x)
@@ -97,10 +97,12 @@ def allowed_pairs(tracks: np.ndarray, detections: np.ndarray, p: Any) -> tuple[n
     rows, columns, costs, found = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room), 0
     for t in range(len(tracks)):
         track = tracks[t]
-        reach = _reach(track, p)
+        reach, track_x, track_y = _reach(track, p), track.mean[0], track.mean[1]
         for k in range(stretch[t, 0], stretch[t, 1]):
             d = order[k]
-            cost = _pair_cost(track, detections[d], reach + extent[d], p)
+            if abs(x[d] - track_x) > reach + extent[d] or abs(y[d] - track_y) > reach + extent[d]:
+                continue
+            cost = _pair_cost(track, detections[d], p)
             if cost < FORBIDDEN:
                 rows[found], columns[found], costs[found] = t, d, cost
                 found += 1
@@ -130,11 +132,9 @@ def _reach(track: Any, p: Any) -> float:
 
 
 @inner
-def _pair_cost(track: Any, detection: Any, reach: float, p: Any) -> float:
+def _pair_cost(track: Any, detection: Any, p: Any) -> float:
     """Cost of one pair, ``FORBIDDEN`` outside the gate."""
     mean, cov, position = track.mean, track.cov, detection.position
-    if abs(position[0] - mean[0]) > reach or abs(position[1] - mean[1]) > reach:
-        return FORBIDDEN
     if p.hard and detection.label != track.label:
         return FORBIDDEN
     if p.visible and another_size(track.size, detection.size):

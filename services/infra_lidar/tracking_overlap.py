@@ -62,9 +62,11 @@ def absorb_doubles(tracks: np.ndarray) -> np.ndarray:
     where two tracks that go the same way share much of the smaller one's box, the older one lives on, with the box and
     the filter of whichever has more points."""
     count = len(tracks)
-    into, x, reach, farthest = np.full(count, -1, np.int64), np.empty(count), np.empty(count), 0.0
+    into, farthest = np.full(count, -1, np.int64), 0.0
+    x, y, reach = np.empty(count), np.empty(count), np.empty(count)
     for t in range(count):
-        x[t], reach[t] = tracks[t].mean[0], 0.5 * (tracks[t].size[0] + tracks[t].size[1])
+        x[t], y[t] = tracks[t].mean[0], tracks[t].mean[1]
+        reach[t] = 0.5 * (tracks[t].size[0] + tracks[t].size[1])
         farthest = max(farthest, reach[t])
     order = rising(x)
     for i in range(count):
@@ -73,7 +75,7 @@ def absorb_doubles(tracks: np.ndarray) -> np.ndarray:
             other = order[j]
             if x[other] - x[one] > reach[one] + farthest:
                 break
-            if abs(tracks[other].mean[1] - tracks[one].mean[1]) > reach[one] + reach[other]:
+            if abs(y[other] - y[one]) > reach[one] + reach[other]:
                 continue
             if into[one] < 0 and into[other] < 0:
                 _absorb(tracks, one, other, into)

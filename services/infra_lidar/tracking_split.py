@@ -61,6 +61,8 @@ def _cuts(
     source, owner = np.empty(room, np.int64), np.empty(room, np.int64)
     low, high, pieces = np.empty(room), np.empty(room), 0
     for d in range(len(detections) if len(who) else 0):
+        if not _may_be_group(detections[d].size):
+            continue
         inside, place = _predicted_inside(tracks, who, detections[d])
         extent = max(detections[d].size[0], detections[d].size[1])
         edges = np.empty(len(inside) + 1)
@@ -95,19 +97,23 @@ def _is_person(track: Any) -> bool:
 
 
 @inner
+def _may_be_group(size: np.ndarray) -> bool:
+    """Whether some people together can be as large as that."""
+    longer, shorter = max(size[0], size[1]), min(size[0], size[1])
+    return _GROUP_M[0] < longer < _GROUP_M[1] and shorter < _PERSON_M and _HEIGHT_M[0] < size[2] < _HEIGHT_M[1]
+
+
+@inner
 def _predicted_inside(tracks: np.ndarray, who: np.ndarray, seen: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The people predicted inside a cluster that may be a group, in their order along its long side, and where."""
-    length, width, height = seen.size[0], seen.size[1], seen.size[2]
+    """The people predicted inside a cluster, in their order along its long side, and where."""
+    length, width, c, s = seen.size[0], seen.size[1], math.cos(seen.yaw), math.sin(seen.yaw)
     inside, place, found = np.empty(_MOST, np.int64), np.empty(_MOST), 0
-    may = _GROUP_M[0] < max(length, width) < _GROUP_M[1] and min(length, width) < _PERSON_M
-    if may and _HEIGHT_M[0] < height < _HEIGHT_M[1]:
-        c, s = math.cos(seen.yaw), math.sin(seen.yaw)
-        for t in who:
-            dx, dy = tracks[t].mean[0] - seen.position[0], tracks[t].mean[1] - seen.position[1]
-            u, v = c * dx + s * dy, c * dy - s * dx
-            if abs(u) < 0.5 * length + _MARGIN_M and abs(v) < 0.5 * width + _MARGIN_M and found < _MOST:
-                inside[found], place[found] = t, u if length >= width else v
-                found += 1
+    for t in who:
+        dx, dy = tracks[t].mean[0] - seen.position[0], tracks[t].mean[1] - seen.position[1]
+        u, v = c * dx + s * dy, c * dy - s * dx
+        if abs(u) < 0.5 * length + _MARGIN_M and abs(v) < 0.5 * width + _MARGIN_M and found < _MOST:
+            inside[found], place[found] = t, u if length >= width else v
+            found += 1
     sorted_inside, sorted_place = np.empty(found, np.int64), np.empty(found)
     for i, k in enumerate(rising(place[:found])):
         sorted_inside[i], sorted_place[i] = inside[k], place[k]
