@@ -254,6 +254,6 @@ def _slice(u, v, z, n, low, high, s):  # type: ignore[no-untyped-def]
         layer = smaller(whole((height - lowest) * per_m), np.int32(SLICES - 1))
         here = (layer == np.int32(s)) & (height < top) & (lanes() < np.int32(n - i))
         number += ones(here)
-        u_low, u_high = smaller(u_low, select(here, along, _LARGE_M)), larger(u_high, select(here, along, -_LARGE_M))
-        v_low, v_high = smaller(v_low, select(here, across, _LARGE_M)), larger(v_high, select(here, across, -_LARGE_M))
+        u_low, u_high = select(here, smaller(u_low, along), u_low), select(here, larger(u_high, along), u_high)
+        v_low, v_high = select(here, smaller(v_low, across), v_low), select(here, larger(v_high, across), v_high)
     return lane_sum(number), lane_max(u_high) - lane_min(u_low), lane_max(v_high) - lane_min(v_low)
