@@ -171,7 +171,7 @@ def _turned(
 @inner
 def _axes(cxx: float, cxy: float, cyy: float) -> tuple[float, float, float]:
     """Cosine and sine of the main axis of a 2x2 covariance, and the ratio of its eigenvalues."""
-    half, root = 0.5 * (cxx + cyy), math.sqrt(0.25 * (cxx - cyy) ** 2 + cxy * cxy)
+    half, root = 0.5 * (cxx + cyy), math.sqrt(0.25 * (cxx - cyy) * (cxx - cyy) + cxy * cxy)
     angle = 0.5 * math.atan2(2.0 * cxy, cxx - cyy)
     return math.cos(angle), math.sin(angle), (half + root) / max(half - root, 1e-6)
 
@@ -181,10 +181,11 @@ def _eigen_columns(cxx: float, cyy: float, czz: float, cxy: float, cxz: float, c
     """Eigenvalues of the symmetric 3x3 covariance in closed form (Smith, CACM 1961), and what follows from them."""
     off = cxy * cxy + cxz * cxz + cyz * cyz
     mean = (cxx + cyy + czz) / 3.0
-    spread = math.sqrt(((cxx - mean) ** 2 + (cyy - mean) ** 2 + (czz - mean) ** 2 + 2.0 * off) / 6.0)
+    dx, dy, dz = cxx - mean, cyy - mean, czz - mean
+    spread = math.sqrt((dx * dx + dy * dy + dz * dz + 2.0 * off) / 6.0)
     large = middle = small = mean
     if spread > 1e-12:
-        a, b, c = (cxx - mean) / spread, (cyy - mean) / spread, (czz - mean) / spread
+        a, b, c = dx / spread, dy / spread, dz / spread
         d, e, f = cxy / spread, cxz / spread, cyz / spread
         half_det = 0.5 * (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e))
         phi = math.acos(min(1.0, max(-1.0, half_det))) / 3.0

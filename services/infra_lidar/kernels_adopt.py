@@ -20,7 +20,7 @@ from services.infra_lidar.vectors import (
     lane_count,
     lanes,
     larger,
-    load,
+    load_of_row,
     magnitude,
     root,
     smaller,
@@ -107,7 +107,7 @@ def _keep_outline(members, n, strays, m, spans, v0, v1, taken):  # type: ignore[
 @inner
 def _near(foot, core, loose, size, group, min_points):  # type: ignore[no-untyped-def]
     """Pieces that are still loose, within a vehicle's length of piece ``core``: a list, and how many."""
-    near, number = np.empty(len(loose) + LANES, np.int32), 0
+    near, number = np.empty(len(loose) + LANES, np.int32), np.int64(0)
     for k in loose:
         dx, dy = foot[X, k] - foot[X, core], foot[Y, k] - foot[Y, core]
         if dx * dx + dy * dy < LARGE_LENGTH_M * LARGE_LENGTH_M and size[group[k]] < min_points:
@@ -124,7 +124,7 @@ def _best(members, n, strays, m):  # type: ignore[no-untyped-def]
     reach, spans = np.empty((2, room), np.float32), np.empty((4, room), np.float32)
     away, possible, order = np.empty(room, np.float32), np.empty(room, np.int32), np.empty(room, np.int64)
     for i in range(0, m, LANES):
-        x, y = load(strays[X], i), load(strays[Y], i)
+        x, y = load_of_row(strays, X, i), load_of_row(strays, Y, i)
         far = larger(root(fma(x, x, y * y)), np.float32(1e-3))
         store(reach[0], i, far)
         store(reach[1], i, fma(far, np.float32(CROSS_SLOPE), splat(np.float32(CROSS_M))))
@@ -165,7 +165,7 @@ def adopt_strays(foot, counts, min_points, group):  # type: ignore[no-untyped-de
         loose[number] = k
         number += size[group[k]] < min_points and foot[TOP, k] <= LARGE_TOP_M
     loose = loose[:number]
-    tall, first, number = np.empty(total, np.int64), np.empty(total), 0
+    tall, first, number = np.empty(total, np.int64), np.empty(total, np.float32), 0
     for g in range(total):
         tall[number], first[number] = g, -size[g]
         number += size[g] >= min_points and SMALL_TOP_M < top[g] <= LARGE_TOP_M
@@ -179,7 +179,7 @@ def adopt_strays(foot, counts, min_points, group):  # type: ignore[no-untyped-de
 @inner
 def _adopt(foot, g, strays, m, group):  # type: ignore[no-untyped-def]
     """Let group g take its share of the m strays listed. A group's number is that of its first member."""
-    members, n = np.empty(len(group) + LANES, np.int32), 0
+    members, n = np.empty(len(group) + LANES, np.int32), np.int64(0)  # a literal would have all compiled once more
     for k in range(g, len(group)):
         members[n] = k
         n += group[k] == g

@@ -15,7 +15,7 @@ from services.infra_lidar.vectors import (
     lane_max,
     lane_min,
     larger,
-    load,
+    load_of_row,
     magnitude,
     smaller,
     splat,
@@ -53,13 +53,10 @@ def side_by_side(foot, listed, n, out):  # type: ignore[no-untyped-def]
 @inline
 def along(pieces, i, c, s):  # type: ignore[no-untyped-def]
     """Extents of the pieces from i on along the direction (c, s), and across it: lowest, highest, and the same."""
-    x, y, own_c, own_s = load(pieces[X], i), load(pieces[Y], i), load(pieces[COS], i), load(pieces[SIN], i)
-    u, v, half_l, half_w = (
-        fma(x, c, y * s),
-        fma(y, c, x * -s),
-        load(pieces[HALF_LENGTH], i),
-        load(pieces[HALF_WIDTH], i),
-    )
+    x, y = load_of_row(pieces, X, i), load_of_row(pieces, Y, i)
+    own_c, own_s = load_of_row(pieces, COS, i), load_of_row(pieces, SIN, i)
+    half_l, half_w = load_of_row(pieces, HALF_LENGTH, i), load_of_row(pieces, HALF_WIDTH, i)
+    u, v = fma(x, c, y * s), fma(y, c, x * -s)
     dot, cross = magnitude(fma(own_c, c, own_s * s)), magnitude(fma(own_c, s, own_s * -c))
     u, v = fma(x, c, y * s), fma(y, c, x * -s)
     half_u, half_v = fma(half_l, dot, half_w * cross), fma(half_l, cross, half_w * dot)
@@ -69,8 +66,9 @@ def along(pieces, i, c, s):  # type: ignore[no-untyped-def]
 @inner
 def extent(pieces, n, c, s):  # type: ignore[no-untyped-def]
     """The same of all n pieces together, which are ``side_by_side``."""
-    u_low, u_high, v_low, v_high = along(pieces, 0, c, s)
-    for i in range(LANES, n, LANES):
+    far = splat(np.float32(np.inf))
+    u_low, u_high, v_low, v_high = far, far * np.float32(-1.0), far, far * np.float32(-1.0)
+    for i in range(0, n, LANES):
         a, b, d, e = along(pieces, i, c, s)
         u_low, u_high, v_low, v_high = smaller(u_low, a), larger(u_high, b), smaller(v_low, d), larger(v_high, e)
     return lane_min(u_low), lane_max(u_high), lane_min(v_low), lane_max(v_high)
@@ -86,8 +84,7 @@ def width_of(foot, k, c, s):  # type: ignore[no-untyped-def]
 @inner
 def highest(pieces, n):  # type: ignore[no-untyped-def]
     """The highest top of n pieces side by side."""
-    tops = pieces[TOP]
-    top = load(tops, 0)
+    top = load_of_row(pieces, TOP, 0)
     for i in range(LANES, n, LANES):
-        top = larger(top, load(tops, i))
+        top = larger(top, load_of_row(pieces, TOP, i))
     return lane_max(top)

@@ -15,6 +15,7 @@ from services.infra_lidar.kernels_footprints import (
     HALF_WIDTH,
     ROWS,
     SIN,
+    TOP,
     X,
     Y,
     extent,
@@ -23,7 +24,21 @@ from services.infra_lidar.kernels_footprints import (
     width_of,
 )
 from services.infra_lidar.ordering import rising
-from services.infra_lidar.vectors import LANES
+from services.infra_lidar.vectors import (
+    LANES,
+    fma,
+    lane_count,
+    lanes,
+    larger,
+    load_of_row,
+    magnitude,
+    root,
+    select,
+    smaller,
+    splat,
+    store,
+    store_chosen,
+)
 
 SMALL_LENGTH_M, SMALL_WIDTH_M, SMALL_TOP_M = 5.3, 2.2, 2.2
 LARGE_LENGTH_M, LARGE_WIDTH_M, LARGE_TOP_M = 14.0, 3.3, 4.5
@@ -33,34 +48,6 @@ SIDE_STEP_M = 0.5  # pieces across a wider gap lie in one line to within this
 PERSON_WIDTH_M, PERSON_HEIGHT_M = 1.0, 1.0
 UPPER_WIDTH_M, UPPER_HEIGHT_M = 0.8, 0.2  # of a person behind another: head and shoulders at least
 CYCLE_LENGTH_M, TALL_TOP_M = 2.2, 1.55
-
-
-@inner
-def _corners(foot):  # type: ignore[no-untyped-def]
-    """(K, 4, 2): the corners of each footprint."""
-    corners = np.empty((foot.shape[1], 4, 2))
-    for k in range(foot.shape[1]):
-        c, s = foot[COS, k], foot[SIN, k]
-        for i in range(4):
-            u = foot[HALF_LENGTH, k] * (1.0 if i & 1 else -1.0)
-            v = foot[HALF_WIDTH, k] * (1.0 if i & 2 else -1.0)
-            corners[k, i, 0], corners[k, i, 1] = foot[X, k] + c * u - s * v, foot[Y, k] + s * u + c * v
-    return corners
-
-
-@inner
-def _gap(foot, corners, a, b):  # type: ignore[no-untyped-def]
-    """Distance of footprints: the smallest from a corner of one to the other."""
-    nearest = np.inf
-    for swap in range(2):
-        p, q = (a, b) if swap == 0 else (b, a)
-        c, s = foot[COS, q], foot[SIN, q]
-        for i in range(4):
-            dx, dy = corners[p, i, 0] - foot[X, q], corners[p, i, 1] - foot[Y, q]
-            u = max(abs(c * dx + s * dy) - foot[HALF_LENGTH, q], 0.0)
-            v = max(abs(c * dy - s * dx) - foot[HALF_WIDTH, q], 0.0)
-            nearest = min(nearest, u * u + v * v)
-    return np.sqrt(nearest)
 
 
 @inner
@@ -121,14 +108,17 @@ def merge_fragments(box, foot, counts, person, min_count, group):  # type: ignor
     box (K, 8) as measured by ``kernels_clusters.measure`` and its ``footprints``; group (K,) int32 is written: smallest
     member's index.
     """
-    usable = _usable(box, counts, person, min_count)
-    following, members = np.empty(len(counts), np.int64), np.empty(len(usable) + LANES, np.int32)
-    pieces = np.empty((ROWS, len(usable) + LANES), np.float32)
+    following = np.empty(len(counts), np.int64)
     for k in range(len(counts)):
         group[k] = following[k] = k  # the members of a group stand in a ring
-    pairs, gaps = _near_pairs(box, foot, _corners(foot), usable)
+    usable, n = _usable(box, counts, person, min_count)
+    if n == 0:
+        return
+    pieces, members = np.empty((ROWS, n + LANES), np.float32), np.empty(n + LANES, np.int32)
+    side_by_side(foot, usable, n, pieces)
+    first, second, gaps = _near_pairs(pieces, n)
     for p in rising(gaps):
-        a, b = pairs[p, 0], pairs[p, 1]
+        a, b = usable[first[p]], usable[second[p]]
         ga, gb = group[a], group[b]
         if ga == gb:
             continue
@@ -153,8 +143,8 @@ def _go_round(following, first, members, number):  # type: ignore[no-untyped-def
 
 @inner
 def _usable(box, counts, person, min_count):  # type: ignore[no-untyped-def]
-    """Pieces that may be part of a vehicle, by the left end of their footprint."""
-    chosen, left, n = np.empty(len(counts), np.int64), np.empty(len(counts)), 0
+    """Pieces that may be part of a vehicle, by the left end of their footprint: a list, and how many."""
+    chosen, left, n = np.empty(len(counts), np.int32), np.empty(len(counts), np.float32), np.int64(0)
     for k in range(len(counts)):
         top = box[k, 7] + box[k, 5]
         if person[k] or counts[k] < min_count:
@@ -162,33 +152,69 @@ def _usable(box, counts, person, min_count):  # type: ignore[no-untyped-def]
         if box[k, 3] <= LARGE_LENGTH_M and top <= LARGE_TOP_M and not _vulnerable(box, k):
             chosen[n], left[n] = k, box[k, 0] - 0.5 * _diagonal(box, k)
             n += 1
-    order = rising(left[:n])
+    order, listed = rising(left[:n]), np.empty(n + LANES, np.int32)
     for i in range(n):
-        order[i] = chosen[order[i]]
-    return order
+        listed[i] = chosen[order[i]]
+    return listed, n
 
 
 @inner
-def _near_pairs(box, foot, corners, usable):  # type: ignore[no-untyped-def]
-    """Pairs of pieces no farther apart than the widest gap, with the gap; ``usable`` is sorted by left end."""
-    pairs = np.empty((16 * len(usable) + 16, 2), np.int64)
-    gaps, half = np.empty(len(pairs)), np.empty(len(box))
-    for k in usable:
-        half[k] = 0.5 * _diagonal(box, k)
-    n = 0
-    for i in range(len(usable)):
-        a = usable[i]
-        for j in range(i + 1, len(usable)):
-            b = usable[j]
-            if box[b, 0] - half[b] > box[a, 0] + half[a] + LARGE_GAP_M:
-                break
-            tall = max(box[a, 7] + box[a, 5], box[b, 7] + box[b, 5]) > SMALL_TOP_M
-            widest = LARGE_GAP_M if tall else SMALL_GAP_M
-            dx, dy, apart = box[b, 0] - box[a, 0], box[b, 1] - box[a, 1], half[a] + half[b] + widest
-            if dx * dx + dy * dy > apart * apart or n == len(pairs):
-                continue
-            gap = _gap(foot, corners, a, b)
-            if gap <= widest:
-                pairs[n, 0], pairs[n, 1], gaps[n] = a, b, gap
-                n += 1
-    return pairs[:n], gaps[:n]
+def _near_pairs(pieces, n):  # type: ignore[no-untyped-def]
+    """Pairs of n pieces, side by side and by their left ends, that are no farther apart than the widest gap: the first
+    ones, the second ones, int32, and the gaps."""
+    room, found, left = 16 * n + 16, 0, np.empty(n + LANES, np.float32)
+    first, second = np.empty(room + LANES, np.int32), np.empty(room + LANES, np.int32)
+    gaps = np.empty(room + LANES, np.float32)
+    for i in range(0, n, LANES):
+        store(left, i, load_of_row(pieces, X, i) - _half_diagonal(pieces, i))
+    for i in range(n):
+        end = np.float32(2.0) * pieces[X, i] - left[i] + np.float32(LARGE_GAP_M)  # as far to the right
+        j = i + 1
+        while j < n and left[j] <= end and found <= room:
+            tall = larger(load_of_row(pieces, TOP, j), pieces[TOP, i]) > np.float32(SMALL_TOP_M)
+            widest = select(tall, splat(np.float32(LARGE_GAP_M)), splat(np.float32(SMALL_GAP_M)))
+            gap = _gaps(pieces, i, j)
+            near = (gap <= widest) & (lanes() < np.int32(n - j))
+            store(first, found, splat(np.int32(i)))
+            store_chosen(second, found, lanes() + np.int32(j), near)
+            store_chosen(gaps, found, gap, near)
+            found, j = found + lane_count(near), j + LANES
+    found = min(found, room)
+    return first[:found], second[:found], gaps[:found]
+
+
+@inline
+def _half_diagonal(pieces, i):  # type: ignore[no-untyped-def]
+    half_l, half_w = load_of_row(pieces, HALF_LENGTH, i), load_of_row(pieces, HALF_WIDTH, i)
+    return root(fma(half_l, half_l, half_w * half_w))
+
+
+@inner
+def _gaps(pieces, i, j):  # type: ignore[no-untyped-def]
+    """Distances of piece i from those from j on: the smallest from a corner of one footprint to the other."""
+    c, s = splat(pieces[COS, i]), splat(pieces[SIN, i])
+    half_l, half_w = splat(pieces[HALF_LENGTH, i]), splat(pieces[HALF_WIDTH, i])
+    dx, dy = load_of_row(pieces, X, j) - pieces[X, i], load_of_row(pieces, Y, j) - pieces[Y, i]
+    own_c, own_s = load_of_row(pieces, COS, j), load_of_row(pieces, SIN, j)
+    own_l, own_w = load_of_row(pieces, HALF_LENGTH, j), load_of_row(pieces, HALF_WIDTH, j)
+    none = splat(np.float32(0.0))
+    turn_c, turn_s = fma(own_c, c, own_s * s), own_s * c - own_c * s  # of theirs against that of i
+    u, v = fma(dx, c, dy * s), dy * c - dx * s
+    theirs = _nearest_corner(u, v, turn_c, turn_s, own_l, own_w, half_l, half_w)
+    u, v = none - fma(dx, own_c, dy * own_s), dx * own_s - dy * own_c
+    ours = _nearest_corner(u, v, turn_c, none - turn_s, half_l, half_w, own_l, own_w)
+    return root(smaller(theirs, ours))
+
+
+@inner
+def _nearest_corner(u, v, c, s, half_l, half_w, box_l, box_w):  # type: ignore[no-untyped-def]
+    """Squared distance from a box about the origin, of half sizes box_l and box_w, to the nearest corner of another, at
+    (u, v) and turned by (c, s)."""
+    nearest, none = splat(np.float32(np.inf)), splat(np.float32(0.0))
+    lu, lv, wu, wv = half_l * c, half_l * s, none - half_w * s, half_w * c
+    for _ in range(4):
+        du = larger(magnitude(u + lu + wu) - box_l, none)
+        dv = larger(magnitude(v + lv + wv) - box_w, none)
+        nearest = smaller(nearest, fma(du, du, dv * dv))
+        lu, lv, wu, wv = wu, wv, none - lu, none - lv  # round to the next corner
+    return nearest

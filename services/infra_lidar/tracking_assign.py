@@ -141,7 +141,7 @@ def _pair_cost(track: Any, detection: Any, p: Any) -> float:
         return FORBIDDEN
     ex, ey, rxx, rxy, ryy = innovation(mean, track.size, track.yaw, position, detection.size, detection.yaw, p)
     sxx, sxy, syy = cov[0, 0] + rxx, cov[0, 1] + rxy, cov[1, 1] + ryy
-    szz = cov[2, 2] + p.height_sigma_m**2
+    szz = cov[2, 2] + p.height_sigma_m * p.height_sigma_m
     det = sxx * syy - sxy * sxy
     dz = position[2] - mean[2]
     d2 = (ex * ex * syy - 2.0 * ex * ey * sxy + ey * ey * sxx) / det + dz * dz / szz

@@ -85,10 +85,11 @@ def parameters(config: TrackingConfig) -> np.ndarray:
 @inner
 def predict(tracks: np.ndarray, dt_s: float, p: Any) -> None:
     """Move every track by ``dt_s`` and grow its covariance."""
-    q = p.acceleration_sigma**2
-    on_place, on_both, on_speed = q * dt_s**3 / 3.0, q * dt_s**2 / 2.0, q * dt_s
+    q = p.acceleration_sigma * p.acceleration_sigma
+    on_place, on_both, on_speed = q * dt_s * dt_s * dt_s / 3.0, q * dt_s * dt_s / 2.0, q * dt_s
     if p.step:
-        on_place, on_both, on_speed = p.step_position_sigma_m**2, 0.0, p.step_velocity_sigma_mps**2
+        on_place, on_both = p.step_position_sigma_m * p.step_position_sigma_m, 0.0
+        on_speed = p.step_velocity_sigma_mps * p.step_velocity_sigma_mps
     for t in range(len(tracks)):
         mean, cov = tracks[t].mean, tracks[t].cov
         for i in range(3):
@@ -129,7 +130,7 @@ def edge_shift(centre: float, measured: float, extent: float) -> tuple[float, fl
     """
     low = centre - 0.5 * (measured - extent)
     high = centre + 0.5 * (measured - extent)
-    doubt = (measured - extent) ** 2 / 12.0
+    doubt = (measured - extent) * (measured - extent) / 12.0
     if low * high <= 0.0:
         return 0.0, doubt
     return (low if abs(low) < abs(high) else high), doubt
@@ -141,7 +142,7 @@ def innovation(
 ) -> tuple[float, float, float, float, float]:  # fmt: skip
     """Horizontal innovation and noise of one pair: ex, ey, Rxx, Rxy, Ryy, map frame."""
     dx, dy = position[0] - mean[0], position[1] - mean[1]
-    noise = p.position_sigma_m**2
+    noise = p.position_sigma_m * p.position_sigma_m
     if not p.visible:
         return dx, dy, noise, 0.0, noise
     c, s = math.cos(yaw), math.sin(yaw)

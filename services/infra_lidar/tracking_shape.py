@@ -41,7 +41,7 @@ def update_pairs(
         ex, ey, rxx, rxy, ryy = innovation(mean, track.size, track.yaw, position, seen.size, seen.yaw, p)
         e[0], e[1], e[2] = ex, ey, position[2] - mean[2]
         left_x, left_y = position[0] - mean[0] - ex, position[1] - mean[1] - ey
-        correct(mean, track.cov, e, rxx, rxy, ryy, p.height_sigma_m**2, work)
+        correct(mean, track.cov, e, rxx, rxy, ryy, p.height_sigma_m * p.height_sigma_m, work)
         _follow_size(track, seen.size, seen.yaw, left_x, left_y, p.size_gain, p.visible)
         _follow_yaw(track, seen.yaw, p.yaw_gain, p.visible)
         vote(track, seen, vote_keep, p)

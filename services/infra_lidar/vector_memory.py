@@ -65,6 +65,19 @@ def _load(typing_context: Any, array: Any, at: Any) -> Any:
     return kind(array, at), generate
 
 
+def _load_of_row(typing_context: Any, array: Any, row: Any, at: Any) -> Any:
+    kind = _kind_of(array)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        described = context.make_array(array)(context, builder, args[0])
+        row, at = (context.cast(builder, args[k], sig.args[k], types.int64) for k in (1, 2))
+        width = builder.extract_value(described.shape, 1)
+        place = builder.gep(described.data, [builder.add(builder.mul(row, width), at)])
+        return builder.load(builder.bitcast(place, kind.llvm.as_pointer()), align=4)
+
+    return kind(array, row, at), generate
+
+
 def _store(typing_context: Any, array: Any, at: Any, vector: Any) -> Any:
     _kind_of(array)
 
@@ -243,6 +256,11 @@ def _named(definition: Callable[..., Any], **options: Any) -> Callable[[Callable
 @_named(_load)
 def load(array: Any, at: Any) -> Any:
     """array[at : at + LANES], of float32, of integers up to 32 bits, or bool."""
+
+
+@_named(_load_of_row)
+def load_of_row(array: Any, row: Any, at: Any) -> Any:
+    """array[row, at : at + LANES], of float32 or int32, without a view of the row being made."""
 
 
 @_named(_store)

@@ -36,6 +36,7 @@ from services.infra_lidar.vectors import (
     lanes,
     larger,
     load,
+    load_of_row,
     magnitude,
     ones,
     root,
@@ -202,6 +203,20 @@ def of_words(word):
 @settings(deadline=None, max_examples=60)
 def test_bits_of_words(word):
     assert of_words(np.uint64(word)) == ((word & -word).bit_length() - 1, word.bit_count())
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.int32])
+def test_a_vector_of_a_row(kind):
+    @numba.njit
+    def taken(values, row, at):
+        out = np.empty(LANES, values.dtype)
+        store(out, 0, load_of_row(values, row, at))
+        return out
+
+    values = np.arange(3 * (2 * LANES + 5)).reshape(3, -1).astype(kind)
+    for row in range(3):
+        for at in (0, 3, LANES + 5):
+            np.testing.assert_array_equal(taken(values, row, np.int32(at)), values[row, at : at + LANES])
 
 
 def test_what_is_not_side_by_side_is_refused_when_it_is_compiled():
