@@ -22,6 +22,7 @@ from services.infra_lidar.arrays_in_place import take_arrays_in_place
 from services.infra_lidar.code_on_demand import CodegenOnDemand
 from services.infra_lidar.direct_calls import put_down_in_place
 from services.infra_lidar.lifetimes_on_demand import ask_for_lifetimes
+from services.infra_lidar.loops_in_place import put_down_loops
 from services.infra_lidar.references_on_demand import count_on_demand
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -48,6 +49,7 @@ put_down_in_place(ASKED_FIRST)
 ask_for_lifetimes()
 take_arrays_in_place()
 count_on_demand()
+put_down_loops()
 cpu_target.target_context.codegen().__class__ = CodegenOnDemand  # the one that there is has no other way to be replaced
 
 _NOT_FROM_C: dict[str, Any] = {"no_cfunc_wrapper": True}  # which numba's types do not know
