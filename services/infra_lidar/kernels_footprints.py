@@ -56,7 +56,6 @@ def along(pieces, i, c, s):  # type: ignore[no-untyped-def]
     x, y = load_of_row(pieces, X, i), load_of_row(pieces, Y, i)
     own_c, own_s = load_of_row(pieces, COS, i), load_of_row(pieces, SIN, i)
     half_l, half_w = load_of_row(pieces, HALF_LENGTH, i), load_of_row(pieces, HALF_WIDTH, i)
-    u, v = fma(x, c, y * s), fma(y, c, x * -s)
     dot, cross = magnitude(fma(own_c, c, own_s * s)), magnitude(fma(own_c, s, own_s * -c))
     u, v = fma(x, c, y * s), fma(y, c, x * -s)
     half_u, half_v = fma(half_l, dot, half_w * cross), fma(half_l, cross, half_w * dot)

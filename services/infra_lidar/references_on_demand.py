@@ -29,28 +29,25 @@ Values = dict[str, list[Any]]
 
 
 def _lower(self: Any) -> None:
-    """As Numba's own, with the names known that stand for what is the caller's; often all of them do."""
+    """As Numba's own, with the names known that stand for what is the caller's."""
     kinds, self.lent = self.fndesc.typemap, set()
-    if not self.context.enable_nrt or self.func_ir.is_generator:
-        _count_and_lower(self)
-        return
-    counted = counted_values(self.func_ir, kinds)
-    self.lent = lent(counted, kinds)
-    with _counting(self.context, len(self.lent) < len(counted)):
-        _count_and_lower(self)
+    if self.context.enable_nrt and not self.func_ir.is_generator:
+        self.lent = lent(counted_values(self.func_ir, kinds), kinds)
+    _count_and_lower(self)
 
 
 def _lower_one(self: Any, instruction: ir.Stmt) -> None:
-    """As Numba's own, without counting where a name stands for what is the caller's."""
+    """As Numba's own, without counting where such a name comes or goes. What else an instruction does may make arrays,
+    as an assignment does to elements that it may be reading."""
     name = None
     if isinstance(instruction, ir.Assign):
         name = instruction.target.name
     elif isinstance(instruction, ir.Del):
         name = instruction.value
-    if name in self.lent and self.context.enable_nrt:
-        with _counting(self.context, False):
-            _count_and_lower_one(self, instruction)
-    else:
+    if name not in self.lent:
+        _count_and_lower_one(self, instruction)
+        return
+    with _counting(self.context, False):
         _count_and_lower_one(self, instruction)
 
 

@@ -24,7 +24,7 @@ def looks(a, k):
     for row in part:
         k += row[0]
     flat = a.reshape(a.size)
-    return flat[1:].sum() + k
+    return flat[1:][0] + k
 
 
 def makes(a, k):
@@ -57,6 +57,12 @@ def chosen_by_places(a, k):
     return a[np.array([0, k])].sum()
 
 
+def moves_over(a, k):
+    a[1:] = a[:-1]  # as if all were read before any is written
+    a[k % 3] = a[0]
+    return a[2].sum()
+
+
 def of_a_list(a, k):
     kept = [a[0], a[1]]
     first = kept[0]
@@ -83,6 +89,7 @@ def typed(function: Callable[..., Any]) -> tuple[dict[str, list[Any]], dict[str,
         (turns_round, {"a", "rows", "others"}, set()),
         (returns_a_part, {"a", "part"}, set()),  # what is returned is a reference of its own, a "cast"
         (of_a_list, {"a"}, {"kept", "first"}),
+        (moves_over, {"a"}, set()),
         (chosen_by_places, {"a"}, set()),
     ],
     ids=lambda one: getattr(one, "__name__", ""),
@@ -98,13 +105,15 @@ def test_who_holds_what(function: Callable[..., Any], names_lent: set[str], name
 
 
 @pytest.mark.parametrize(
-    "function", [looks, makes, one_or_the_other, turns_round, returns_a_part, chosen_by_places, of_a_list],
+    "function", [looks, makes, one_or_the_other, turns_round, returns_a_part, chosen_by_places, of_a_list, moves_over],
     ids=lambda one: one.__name__,
 )  # fmt: skip
 @pytest.mark.parametrize("k", [0, 1, 2])
 def test_results_are_pythons_and_everything_is_given_back(function: Callable[..., Any], k: int):
     compiled, a = numba.njit(function), np.arange(12.0).reshape(3, 4)
-    np.testing.assert_array_equal(compiled(a, k), function(a, k))
+    of_compiled, of_python = a.copy(), a.copy()
+    np.testing.assert_array_equal(compiled(of_compiled, k), function(of_python, k))
+    np.testing.assert_array_equal(of_compiled, of_python)
     _nrt_python.memsys_enable_stats()
     gc.collect()
     held, before = sys.getrefcount(a), rtsys.get_allocation_stats()
@@ -137,7 +146,13 @@ def test_what_is_returned_outlives_what_it_is_a_part_of():
 
 
 def test_looking_costs_no_counting():
-    compiled = numba.njit(looks)
+    def parts(a, k):
+        total = 0.0
+        for row in a[k:]:
+            total += row[1:][0] * a[k, -1]
+        return total
+
+    compiled = numba.njit(parts)
     compiled(np.ones((3, 4)), 1)
     (code,) = compiled.inspect_llvm().values()
     assert "call void @NRT_incref" not in code
