@@ -14,6 +14,7 @@ from numba.core.registry import cpu_target
 from numba.core.runtime import _nrt_python, rtsys
 from numba.core.typed_passes import type_inference_stage
 
+import services.infra_lidar.jit  # noqa: F401  it is what changes the compiler
 from services.infra_lidar.references_on_demand import counted_values, lent
 
 TABLE = np.arange(4.0)
@@ -146,13 +147,21 @@ def test_what_is_returned_outlives_what_it_is_a_part_of():
 
 
 def test_looking_costs_no_counting():
-    def parts(a, k):
-        total = 0.0
-        for row in a[k:]:
-            total += row[1:][0] * a[k, -1]
+    @numba.njit
+    def largest(row):
+        most = row[0]
+        for one in row:
+            most = max(most, one)
+        return most
+
+    @numba.njit
+    def compiled(a, k):
+        total, rest = 0.0, a[k:]
+        while len(rest) > 0 and total < 100.0:
+            total += largest(rest[0]) + largest(a[k][1:])
+            rest = rest[1:]
         return total
 
-    compiled = numba.njit(parts)
     compiled(np.ones((3, 4)), 1)
     (code,) = compiled.inspect_llvm().values()
     assert "call void @NRT_incref" not in code
