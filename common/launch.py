@@ -97,8 +97,7 @@ def flag_as_command(arguments: list[str], command: str) -> list[str]:
 def run_until_stopped(run: Callable[[], object]) -> NoReturn:
     """Run with SIGTERM equal to Ctrl-C, then end the process: exit code 0, 1 after a failure, 2 for a wrong config.
 
-    The end is ``os._exit``: a Zenoh thread that is stuck in the network would otherwise keep a finished process, and
-    with it its liveliness token, alive. Whatever has to be closed is closed by ``with`` before that.
+    Whatever has to be closed is closed by ``with`` before that.
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     code = 0
@@ -110,12 +109,36 @@ def run_until_stopped(run: Callable[[], object]) -> NoReturn:
         sys.stderr.write(f"spotter: {error}\n")
         code = 2
     except SystemExit as ending:
-        code = ending.code if isinstance(ending.code, int) else 1
+        code = code_of(ending)
     except BaseException:
         logging.getLogger("service").critical("unexpected failure; the process ends", exc_info=True)
         code = 1
-    sys.stdout.flush()
-    sys.stderr.flush()
+    end_process(code)
+
+
+def code_of(ending: SystemExit) -> int:
+    """The exit code, as Python has it: of a text, which is told, 1."""
+    if isinstance(ending.code, int):
+        return ending.code
+    if ending.code is not None:
+        sys.stderr.write(f"{ending.code}\n")
+    return 0 if ending.code is None else 1
+
+
+def end_process(code: int) -> NoReturn:
+    """End at once, by ``os._exit``.
+
+    A Zenoh thread that is stuck in the network would otherwise keep a finished process, and with it its liveliness
+    token, alive; and one that brings a message while Python clears up is ended by it in the middle of what is not
+    Python, which aborts the process ("exception not rethrown").
+    """
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except BrokenPipeError:  # whoever read it has seen enough
+            pass
+        except (OSError, ValueError):  # the disk is full, or it is closed: something was not written
+            code = code or 1
     os._exit(code)
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
+import traceback
+from typing import NoReturn
+
 import typer
 
 from common.cli.demo import demo
@@ -22,6 +26,7 @@ from common.cli.router import router
 from common.cli.swap import swap
 from common.cli.top import top
 from common.cli.up import up
+from common.launch import code_of, end_process
 
 app = typer.Typer(
     name="spotter",
@@ -56,12 +61,20 @@ app.add_typer(keys, name="keys")
 app.add_typer(incident, name="incident")
 
 
-def main() -> None:
-    """Entry point; Ctrl-C ends any command quietly."""
+def main() -> NoReturn:
+    """Entry point; Ctrl-C ends any command quietly, with exit code 130."""
+    code = 0
     try:
         app(standalone_mode=True)
     except KeyboardInterrupt:
-        raise SystemExit(130) from None
+        code = 130
+    except SystemExit as ending:
+        code = code_of(ending)
+    except BaseException:  # noqa: BLE001  told as Python tells it, and the process ends all the same
+        traceback.print_exc()
+        code = 1
+    atexit._run_exitfuncs()  # what libraries want cleared up
+    end_process(code)
 
 
 if __name__ == "__main__":
