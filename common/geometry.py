@@ -32,18 +32,19 @@ def rotation_rpy(roll_rad: float, pitch_rad: float, yaw_rad: float) -> np.ndarra
 def rotation_between(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     """(3, 3) shortest rotation that takes the direction ``source`` to ``target`` (Rodrigues 1840).
 
-    R = I + [v]x + [v]x^2 / (1 + c), v = source x target, c = source . target.
+    R = I + [v]x + [v]x^2 / (1 + c), v = source x target, c = source . target; 1 + c is half the square of their sum,
+    which nothing cancels out of where they are nearly opposite.
     """
     a = np.asarray(source, float) / np.linalg.norm(source)
     b = np.asarray(target, float) / np.linalg.norm(target)
-    c = float(a @ b)
-    if c < -1.0 + 1e-12:  # opposite: half a turn about any perpendicular axis
+    one_more = 0.5 * float((a + b) @ (a + b))
+    if one_more < 1e-12:  # opposite: half a turn about any perpendicular axis
         axis = np.cross(a, [1.0, 0.0, 0.0] if abs(a[0]) < 0.9 else [0.0, 1.0, 0.0])
         axis /= np.linalg.norm(axis)
         return 2.0 * np.outer(axis, axis) - np.eye(3)
     x, y, z = np.cross(a, b)
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + skew + skew @ skew / (1.0 + c)
+    return np.eye(3) + skew + skew @ skew / one_more
 
 
 def transform(rotation: np.ndarray | None = None, translation: np.ndarray | None = None) -> np.ndarray:

@@ -162,7 +162,9 @@ class Driver:
     def _self_test(self) -> None:
         """The chip's test pattern through FIFO and SPI; a link that fails is used, but never called good."""
         words = min(SELF_TEST_WORDS, self._layout.chirps * self._layout.samples // 2)
-        for _ in range(SELF_TEST_TRIES):
+        for attempt in range(SELF_TEST_TRIES):
+            if attempt:  # it may have lost its power, and with it the registers, in the middle of the last one
+                self._register_text = self._chip.configure(self._registers())
             wrong = self._test_pattern_errors(words)
             if not wrong:
                 self._self_test_text = ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from common import geometry as g
@@ -33,6 +33,8 @@ def test_inverse_undoes(roll: float, pitch: float, yaw: float, x: float, y: floa
     assert T @ g.invert(T) == pytest.approx(np.eye(4), abs=1e-9)
 
 
+@example((0.0, 0.0, -1.0), (0.0, 6.103515625e-05, 12.0))  # nearly opposite
+@example((0.0, 0.0, -1.0), (0.0, 2e-6, 1.0))
 @given(directions, directions)
 def test_rotation_between_takes_one_to_the_other(a: tuple[float, ...], b: tuple[float, ...]) -> None:
     rotation = g.rotation_between(np.array(a), np.array(b))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import closing
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from common.status import Report
@@ -54,6 +54,7 @@ def _schedule(clock, chip: EmulatedChip, events, lasting) -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(events, lasting, pauses)
+@example([(0.25, "clock_error"), (0.2265625, "power_cycle"), (0.09375, "power_cycle")], [], [])  # in the self-test
 def test_random_faults_never_damage_a_frame_and_never_stop_the_stream(events, lasting, pauses) -> None:
     clock = ManualClock()
     signal, report = Marked(), Report("stress")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -32,6 +33,7 @@ class Viewer:
         self._socket = socket
         self.channels: dict[str, dict[str, Any]] = {}
         self._names: dict[int, str] = {}
+        self._wishes: dict[int, dict[str, int]] = {}
 
     def until_offered(self, *names: str) -> None:
         while not set(names) <= set(self.channels):
@@ -41,6 +43,10 @@ class Viewer:
         number = len(self._names) + 1
         self._names[number] = name
         wish = {"id": number, "channelId": self.channels[name]["id"]}
+        self._wishes[wish["channelId"]] = wish
+        self._ask(wish)
+
+    def _ask(self, wish: dict[str, int]) -> None:
         self._socket.send(json.dumps({"op": "subscribe", "subscriptions": [wish]}))
 
     def unsubscribe(self, name: str) -> None:
@@ -57,8 +63,15 @@ class Viewer:
             self._hear(frame)
 
     def _hear(self, frame: str | bytes) -> None:
-        if isinstance(frame, str) and (told := json.loads(frame))["op"] == "advertise":
+        if not isinstance(frame, str):
+            return
+        told = json.loads(frame)
+        if told["op"] == "advertise":
             self.channels |= {channel["topic"]: channel for channel in told["channels"]}
+        elif told["op"] == "status" and (
+            unknown := re.search(r"unknown channel\D*(\d+)", told["message"], re.IGNORECASE)
+        ):
+            self._ask(self._wishes[int(unknown[1])])  # the server offers a channel a moment before it knows it
 
 
 @contextmanager
