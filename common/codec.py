@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 import typing
+from collections.abc import Iterable
 from functools import cache
 from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 
+from common.mend import mend
 from common.messages import Message
 
 MEDIA_TYPE = "application/msgpack"
@@ -30,7 +32,13 @@ class DecodeError(ValueError):
     """A payload that is not the message it claims to be; the text names the field."""
 
 
+class EncodeError(ValueError):
+    """A message that no reader would accept; the text names the field."""
+
+
 class WireArray(msgspec.Struct):
+    """An array on the wire: numpy's name of its type, its shape (at most four axes) and its bytes, row by row."""
+
     dtype: str
     shape: typing.Annotated[list[typing.Annotated[int, msgspec.Meta(ge=0)]], msgspec.Meta(max_length=4)]
     data: memoryview
@@ -54,6 +62,26 @@ def encode(message: Message) -> bytes:
     return _ENCODER.encode(fields)
 
 
+def encode_for_readers(message: M) -> tuple[bytes, str]:
+    """As ``encode``, checked as its readers will check it: the payload, and what had to be mended, empty for nothing.
+
+    Raises:
+        EncodeError: the readers would refuse it, and ``common.mend`` cannot bring it into its bounds.
+    """
+    payload = encode(message)
+    try:
+        decode(payload, type(message))
+        return payload, ""
+    except DecodeError as error:
+        complaint = str(error)
+    mended = _ENCODER.encode(mend(msgspec.msgpack.decode(payload), _decoder(type(message)).type))
+    try:
+        decode(mended, type(message))
+    except DecodeError as error:
+        raise EncodeError(str(error)) from None
+    return mended, complaint
+
+
 def decode(payload: bytes, message_type: type[M], max_bytes: int = MAX_PAYLOAD_BYTES) -> M:
     """Msgpack bytes to a checked message. Unknown fields are ignored.
 
@@ -75,6 +103,13 @@ def decode(payload: bytes, message_type: type[M], max_bytes: int = MAX_PAYLOAD_B
         return message_type(**fields)
     except ValueError as error:
         raise DecodeError(str(error)) from None
+
+
+def prepare(message_types: Iterable[type[Message]]) -> None:
+    """Make the decoders now; otherwise each is made when its first message comes."""
+    for message_type in message_types:
+        _decoder(message_type)
+        _array_fields(message_type)
 
 
 def to_builtins(message: msgspec.Struct) -> Any:

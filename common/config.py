@@ -21,7 +21,7 @@ import msgspec
 from common.config_errors import explain, unknown_key
 
 C = TypeVar("C", bound=msgspec.Struct)
-SECRETS = ("token", "password", "private_key")  # keys whose values are nobody else's business
+SECRETS = ("token", "password", "private_key")  # keys whose values are never published
 
 
 class ConfigError(ValueError):
@@ -53,6 +53,9 @@ class ServiceConfig(Section, frozen=True, kw_only=True):
     source: str = ""
     zenoh: ZenohConfig = msgspec.field(default_factory=ZenohConfig)
 
+    def check(self) -> None:
+        """Checks across several keys that hold only once file and overrides are together. Raises ``ValueError``."""
+
 
 def load(config_type: type[C], path: Path | None = None, overrides: Iterable[str] = ()) -> C:
     """Read the file, lay ``section.key=value`` overrides over it, and check everything.
@@ -60,6 +63,7 @@ def load(config_type: type[C], path: Path | None = None, overrides: Iterable[str
     Raises:
         ConfigError: unreadable, unknown key, wrong type, value outside its limits.
     """
+    overrides = list(overrides)
     document, origin = _read(path) if path else ({}, "defaults")
     config = _convert(config_type, document, origin)
     for override in overrides:
@@ -67,17 +71,36 @@ def load(config_type: type[C], path: Path | None = None, overrides: Iterable[str
         _refuse_unknown(config_type, _nest(key, value), "--set")
         _assign(document, key, value)
         config = _convert(config_type, document, "--set")
+    if isinstance(config, ServiceConfig):
+        try:
+            config.check()
+        except ValueError as error:
+            raise ConfigError(f"{path or 'defaults'}{' with --set' if overrides else ''}: {error}") from None
     return config
 
 
 def _convert(config_type: type[C], document: Mapping[str, Any], origin: str) -> C:
     _refuse_unknown(config_type, document, origin)
+    document = _completed(document, config_type())
     try:
         return msgspec.convert(document, config_type)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{origin}: {explain(error, document, config_type)}") from None
     except ValueError as error:  # a __post_init__ check across several keys
         raise ConfigError(f"{origin}: {error}") from None
+
+
+def _completed(document: Mapping[str, Any], defaults: msgspec.Struct) -> dict[str, Any]:
+    """A key that a section leaves out has the default of that very section, not of the section's class.
+
+    ``[sensors.lidar] host = "pi1"`` leaves the lidar's own ``budget_ms`` as it is.
+    """
+    completed = dict(document)
+    for field in msgspec.structs.fields(type(defaults)):
+        default, given = getattr(defaults, field.name), document.get(field.encode_name)
+        if isinstance(default, msgspec.Struct) and isinstance(given, Mapping):
+            completed[field.encode_name] = {**msgspec.to_builtins(default), **_completed(given, default)}
+    return completed
 
 
 def config_hash(config: msgspec.Struct) -> str:

@@ -35,7 +35,7 @@ def explain(error: msgspec.ValidationError, document: Document, config_type: typ
     value: Any = document
     for part in parts:
         value = value[int(part)] if isinstance(value, list) else value.get(part)
-    if isinstance(value, Mapping):  # a section as a whole: nobody wants to read all of it
+    if isinstance(value, Mapping):  # a whole section is too long to print
         return f"[{'.'.join(parts)}] {text}" if parts else text
     section, choices = ".".join(parts[:-1]), _choices(parts, config_type)
     allowed = f"; allowed: {', '.join(choices)}" if choices and text.startswith("invalid enum value") else ""

@@ -9,6 +9,15 @@ from dataclasses import dataclass, field
 from urllib.parse import parse_qsl
 
 from common.config import ConfigError
+from common.message_types import SOURCE_KINDS, SourceKind, least_live
+
+_KIND_OF_SCHEME: dict[str, SourceKind] = {
+    **dict.fromkeys(("serial", "spi", "csi", "v4l2", "gpio", "vesc", "can", "imu"), "live"),
+    **dict.fromkeys(("velodyne", "ouster", "hesai", "robosense"), "live"),
+    **dict.fromkeys(("file", "mcap"), "recorded"),
+    "sim": "simulated",
+}
+_EMULATOR = "emulator"  # `spi:emulator`: the device's own wire protocol, without the device
 
 
 @dataclass(frozen=True)
@@ -38,6 +47,23 @@ class SourceUrl:
         return f"{self.scheme}:{self.target}" + (f"?{query}" if query else "")
 
 
+def source_kind(source: str) -> SourceKind:
+    """What data from this source URL is: measured now, replayed, or made up. A scheme that is not known is "unknown".
+
+    Several URLs with ``" + "`` between them are as little live as the least of them. A service with a further scheme
+    for a device adds it to the table above.
+    """
+    if " + " in source:
+        return least_live(source_kind(one) for one in source.split(" + "))
+    scheme, _, rest = source.partition(":")
+    if scheme == "ros2":  # a topic does not tell: a simulator's and a played bag's look like a driver's
+        told = dict(parse_qsl(rest.partition("?")[2])).get("kind", "live")
+        return next((kind for kind in SOURCE_KINDS if kind == told), "unknown")
+    if rest.removeprefix("//").partition("?")[0] == _EMULATOR:
+        return "emulated"
+    return _KIND_OF_SCHEME.get(scheme, "unknown")
+
+
 def parse_source(text: str, allowed: dict[str, tuple[str, ...]]) -> SourceUrl:
     """Parse a source URL; ``allowed`` maps each scheme to the names of its parameters.
 
@@ -45,6 +71,9 @@ def parse_source(text: str, allowed: dict[str, tuple[str, ...]]) -> SourceUrl:
         ConfigError: no scheme, a scheme or parameter this service does not know.
     """
     scheme, colon, rest = text.partition(":")
+    if not text:
+        schemes = ", ".join(f"{name}:" for name in sorted(allowed))
+        raise ConfigError(f"no source: give one with --source or `source` in the configuration; one of {schemes}")
     if not colon or scheme not in allowed:
         schemes = ", ".join(f"{name}:" for name in sorted(allowed))
         raise ConfigError(f"source {text!r}: expected one of {schemes}")

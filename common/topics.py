@@ -13,6 +13,7 @@ from common import messages as m
 
 Priority = Literal["real_time", "interactive_high", "data_high", "data", "data_low", "background"]
 Congestion = Literal["drop", "block_first"]
+Role = Literal["onboard", "roadside"]
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,8 @@ class Topic:
 
     ``age_limit_s`` is the age at which a reader has to call the data stale (None: nobody decides on it).
     ``on_demand`` topics are published only while somebody listens.
+    ``role`` marks the one topic of each sensor that fusion decides on, and where the sensor is: on the vehicle or
+    beside the road. Such a topic needs an age limit.
     """
 
     service: str
@@ -32,6 +35,7 @@ class Topic:
     priority: Priority = "data"
     congestion: Congestion = "drop"
     max_bytes: int = 1_000_000
+    role: Role | None = None
 
     @property
     def is_large(self) -> bool:
@@ -75,8 +79,11 @@ SERVICES: tuple[ServiceRow, ...] = (
     ServiceRow("infra_lidar", "infra0", "infra-lidar"),
 )
 
-# Helpful where there is a source for them, missed by nobody.
-OPTIONAL_SERVICES: tuple[ServiceRow, ...] = (ServiceRow("ego", "jetson0", "jetson"),)
+# Optional: no other service depends on them.
+OPTIONAL_SERVICES: tuple[ServiceRow, ...] = (
+    ServiceRow("ego", "jetson0", "jetson"),
+    ServiceRow("gate", "jetson0", "jetson"),
+)
 
 # On as many hosts as site.toml says.
 SERVICES_OF_ANY_HOST: tuple[ServiceRow, ...] = (ServiceRow("blackbox", "jetson0", "record"),)
@@ -84,16 +91,20 @@ SERVICES_OF_ANY_HOST: tuple[ServiceRow, ...] = (ServiceRow("blackbox", "jetson0"
 # Of no site: `spotter record` says under this name that it runs, on a host or, with its status alone, on a laptop.
 RECORDER = "recorder"
 
-RADAR_TRACKS = Topic("radar", "tracks", m.RadarTracks, 10.0, 0.5, priority="data_high")
+RADAR_TRACKS = Topic("radar", "tracks", m.RadarTracks, 10.0, 0.5, priority="data_high", role="onboard")
 RADAR_DETECTIONS = Topic("radar", "detections", m.RadarDetections, 10.0, on_demand=True)
+RADAR_MOTION = Topic("radar", "motion", m.EgoMotion, 10.0, priority="data_high")  # the own speed from standing echoes
 LIDAR_SCAN = Topic("lidar", "scan", m.LaserScan, 10.0)
-LIDAR_ZONES = Topic("lidar", "zones", m.LidarZones, 10.0, 0.5, priority="data_high")
-CAMERA_DETECTIONS = Topic("camera", "detections", m.CameraDetections, 15.0, 1.0, priority="data_high")
+LIDAR_ZONES = Topic("lidar", "zones", m.LidarZones, 10.0, 0.5, priority="data_high", role="onboard")
+CAMERA_DETECTIONS = Topic(
+    "camera", "detections", m.CameraDetections, 15.0, 1.0,
+    priority="data_high", role="onboard",
+)  # fmt: skip
 CAMERA_IMAGE = Topic(
     "camera", "image", m.CompressedImage, 5.0, on_demand=True,
     priority="data_low", congestion="block_first", max_bytes=8_000_000,
 )  # fmt: skip
-INFRA_TRACKS = Topic("infra_lidar", "tracks", m.ObjectTracks, 10.0, 0.5, priority="data_high")
+INFRA_TRACKS = Topic("infra_lidar", "tracks", m.ObjectTracks, 10.0, 0.5, priority="data_high", role="roadside")
 INFRA_CLUSTERS = Topic("infra_lidar", "clusters", m.Clusters, 10.0, on_demand=True)
 INFRA_POINTS = Topic(
     "infra_lidar", "points", m.PointCloud, 5.0, on_demand=True,
@@ -103,12 +114,14 @@ FUSION_VERDICT = Topic("fusion", "verdict", m.Verdict, 20.0, 0.25, priority="int
 FUSION_HEALTH = Topic("fusion", "health", m.SystemHealth, 2.0, 2.0, priority="interactive_high")
 FUSION_TRACE = Topic("fusion", "trace", m.FusionTrace, 20.0, on_demand=True)
 EGO_MOTION = Topic("ego", "motion", m.EgoMotion, 20.0, 0.5, priority="data_high")
+GATE_STATE = Topic("gate", "state", m.GateState, 10.0, 0.5, priority="interactive_high")
 
 DATA_TOPICS: tuple[Topic, ...] = (
-    RADAR_TRACKS,
-    RADAR_DETECTIONS,
     LIDAR_SCAN,
     LIDAR_ZONES,
+    RADAR_TRACKS,
+    RADAR_DETECTIONS,
+    RADAR_MOTION,
     CAMERA_DETECTIONS,
     CAMERA_IMAGE,
     INFRA_TRACKS,
@@ -118,7 +131,20 @@ DATA_TOPICS: tuple[Topic, ...] = (
     FUSION_HEALTH,
     FUSION_TRACE,
     EGO_MOTION,
+    GATE_STATE,
 )
+
+# What fusion decides on, by sensor, in the order in which the health bar names them.
+SENSOR_TOPICS: dict[str, Topic] = {topic.service: topic for topic in DATA_TOPICS if topic.role is not None}
+ONBOARD_SENSORS: tuple[str, ...] = tuple(name for name, topic in SENSOR_TOPICS.items() if topic.role == "onboard")
+
+# How people read a sensor's name, where that differs from its name on the bus.
+_SPOKEN_NAMES = {"lidar": "LiDAR", "infra_lidar": "roadside LiDAR"}
+
+
+def spoken(sensor: str) -> str:
+    """A sensor's name in every text for people: LiDAR, radar, camera, roadside LiDAR."""
+    return _SPOKEN_NAMES.get(sensor, sensor.replace("_", " "))
 
 
 # Bytes as a device sent them, for recordings that are to be processed again; only while somebody listens.
@@ -149,7 +175,9 @@ class Command:
 
 
 COMMANDS: tuple[Command, ...] = (
+    Command("fusion", "acknowledge", from_afar=False),  # ends alarms: by somebody who stands at the vehicle
     Command("infra_lidar", "recalibrate", from_afar=False),  # the sensor sees nothing until it has found the road
+    Command("gate", "acknowledge", from_afar=False),  # a person beside the vehicle says that it may move again
     Command("blackbox", "incidents", from_afar=True),
     Command("blackbox", "capsule", from_afar=True),
     Command("blackbox", "save", from_afar=True),  # bounded: one open incident at a time, the oldest goes
@@ -165,11 +193,18 @@ def status_topic(service: str) -> Topic:
 
 
 def info_key(host: str, service: str) -> str:
+    """Queried for what a service runs: version, configuration, source."""
     return f"{host}/{service}/info"
 
 
 def clock_key(host: str, service: str) -> str:
+    """Queried to measure how far a service's clock is off."""
     return f"{host}/{service}/clock"
+
+
+def links_key(host: str) -> str:
+    """Asked of this host's own router (``RouterLinks``); no other host may ask it."""
+    return f"{host}/router/links"
 
 
 def token_key(host: str, service: str, instance: str) -> str:
@@ -195,7 +230,7 @@ def parse_token(key: str) -> tuple[str, str, str]:
 def find_topic(key: str) -> Topic | None:
     """The row of the table that a concrete key ``<host>/<service>/<product>`` belongs to, or None."""
     parts = key.split("/")
-    if len(parts) != 3:
+    if len(parts) != 3 or not all(parts):
         return None
     _, service, product = parts
     if product == "status":

@@ -7,6 +7,7 @@ they arrived as log time. A chunk is closed every half second, so a killed recor
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from io import BufferedWriter
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,8 @@ class RecordingFile:
     def __init__(self, path: Path, metadata: dict[str, dict[str, str]]) -> None:
         self.path = path
         self.messages = 0
+        self.held_ns = 0  # log time of the newest message that was handed to the kernel; 0 = none
+        self._newest_ns = 0
         self._stream: BufferedWriter = path.open("xb")
         self._writer = _ChunkedWriter(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="spotter", library="spotter")
@@ -47,8 +50,11 @@ class RecordingFile:
     def __enter__(self) -> RecordingFile:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None and issubclass(kind, OSError):
+            self.abandon()
+        else:
+            self.close()
 
     @property
     def size_bytes(self) -> int:
@@ -59,6 +65,7 @@ class RecordingFile:
         channel = self._channel(key, "msgpack", schema_name(message_type), "jsonschema", json_schema(message_type))
         self._writer.add_message(channel, log_ns, payload, sent_ns or log_ns, seq & 0xFFFFFFFF)
         self.messages += 1
+        self._newest_ns = log_ns
 
     def add_foxglove(self, topic: str, message: Any, log_ns: int, publish_ns: int) -> None:
         """A message of Foxglove's own schemas, protobuf-encoded by its SDK."""
@@ -79,6 +86,7 @@ class RecordingFile:
         """Close the chunk and hand everything to the kernel: what is before this survives a kill -9."""
         self._writer.close_chunk()
         self._stream.flush()
+        self.held_ns = self._newest_ns
 
     def sync(self) -> None:
         """Ask the kernel to write it to the disk: what is before this survives a power cut."""
@@ -86,9 +94,18 @@ class RecordingFile:
 
     def close(self) -> None:
         if not self._stream.closed:
-            self._writer.finish()
-            self._stream.flush()
-            self.sync()
+            try:
+                self._writer.finish()
+                self._stream.flush()
+                self.sync()
+            except OSError:
+                self.abandon()
+                raise
+            self._stream.close()
+
+    def abandon(self) -> None:
+        """Close a file that can no longer be written. It has no index and is readable up to ``held_ns``."""
+        with suppress(OSError):  # what the stream still buffers does not fit either
             self._stream.close()
 
     def _channel(self, topic: str, message_encoding: str, schema: str, encoding: str, data: bytes) -> int:

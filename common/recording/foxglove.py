@@ -15,6 +15,7 @@ import numpy as np
 
 from common import messages as m
 from common.recording.colours import COLOURS
+from common.topics import ONBOARD_SENSORS
 
 TRACK_LIFETIME_NS = 500_000_000
 LOG_LEVELS = {"SAFE": "Info", "CAUTION": "Warning", "IMMINENT": "Error"}
@@ -136,7 +137,7 @@ def static_transforms(stamp_ns: int) -> list[Any]:
             timestamp=_time(stamp_ns), parent_frame_id="vehicle", child_frame_id=child,
             translation=_vector((0.0, 0.0, 0.0)), rotation=_turn(0.0),
         )
-        for child in ("lidar", "radar", "camera")
+        for child in ONBOARD_SENSORS
     ]  # fmt: skip
 
 

@@ -11,11 +11,12 @@ import zenoh
 
 from common.clock import monotonic_s, utc_ns
 from common.codec import DecodeError, decode, encode, encoding_of
+from common.messages import least_live
 from common.recording.reader import Recorded, read
 from common.topics import find_topic, token_key
 
 INSTANCE = "replayed"
-LONGEST_WAIT_S = 0.25  # a stop request is heard at least this often
+LONGEST_WAIT_S = 0.25  # a stop request is checked at least this often
 
 
 @dataclass(frozen=True)
@@ -78,19 +79,18 @@ class Player:
         if topic is None:
             return
         self._be_present(recorded.key)
-        payload = recorded.payload
+        try:
+            message = decode(recorded.payload, topic.message, topic.max_bytes)
+        except DecodeError:
+            return
+        message.source_kind = least_live((message.source_kind, "recorded"))
         if shift_ns:
             # At another rate the stamps keep their distance to the moment at which they are played.
             late_ns = int(into_s * (1 / self._pace.rate - 1) * 1e9)
-            try:
-                message = decode(payload, topic.message, topic.max_bytes)
-            except DecodeError:
-                return
             for name in ("stamp_ns", "received_ns", "sent_ns"):
-                if name == "stamp_ns" or getattr(message, name):  # 0 in the others means "not told"
+                if name == "stamp_ns" or getattr(message, name):  # 0 in the others means unknown
                     setattr(message, name, getattr(message, name) + shift_ns + late_ns)
-            payload = encode(message)
-        self._publisher(recorded.key, encoding_of(topic.message)).put(payload)
+        self._publisher(recorded.key, encoding_of(topic.message)).put(encode(message))
         self.played += 1
 
     def _publisher(self, key: str, encoding: str) -> zenoh.Publisher:

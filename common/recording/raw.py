@@ -10,11 +10,13 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgspec
+
+from common.bus.raw_tap import C, with_changes
 from common.clock import monotonic_s, utc_ns
 from common.codec import DecodeError, decode
 from common.config import ConfigError
-from common.messages import RawBytes
-from common.raw import C, with_changes
+from common.messages import Motion, RawBytes
 from common.source_url import SourceUrl
 from common.topics import Topic
 
@@ -91,6 +93,14 @@ def fitted_as_recorded(config: C, url: SourceUrl, topic: Topic) -> C:
     """
     changed = first_piece(url, topic).about.get("fitted")
     return with_changes(config, changed) if isinstance(changed, dict) else config
+
+
+def recorded_motion(piece: RawBytes) -> Motion | None:
+    """How the vehicle was known to move when this piece was processed; None = unknown."""
+    try:
+        return msgspec.convert(piece.about.get("motion"), Motion | None)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"a recorded piece of {piece.kind}: motion: {error}") from None
 
 
 def _move(piece: RawBytes, stamp_ns: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,8 @@ from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary as McapSummary
 from zstandard import ZstdError
+
+from common.topics import find_topic
 
 SPOTTER_SCHEMA = "spotter."
 MAGIC = b"\x89MCAP0\r\n"
@@ -56,20 +59,24 @@ class Summary:
         return (self.end_ns - self.start_ns) / 1e9
 
 
-def read(path: Path, start_ns: int | None = None) -> Iterator[Recorded]:
+def read(path: Path, start_ns: int | None = None, refused: Counter[str] | None = None) -> Iterator[Recorded]:
     """Our messages in order of arrival; CRCs are checked.
+
+    ``refused`` counts, by key, the messages under a key of ours whose schema or encoding is not ours.
 
     Raises:
         RecordingError: a chunk fails its CRC. (A file without an end is read up to its last whole chunk.)
     """
     if not is_complete(path):
-        yield from _read_cut(path, start_ns)
+        yield from _read_cut(path, start_ns, refused)
         return
     try:
         with path.open("rb") as stream:
             for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages(starting_at=start_ns):
                 if _is_ours(schema, channel):
                     yield Recorded(channel.topic, message.data, message.log_time)
+                else:
+                    _refuse(channel, refused)
     except DAMAGE as error:
         raise RecordingError(f"{path}: damaged: {error}") from None
 
@@ -155,7 +162,7 @@ def summarise(path: Path) -> Summary:
     return Summary(first_ns, last_ns, counts, is_complete(path))
 
 
-def _read_cut(path: Path, start_ns: int | None) -> Iterator[Recorded]:
+def _read_cut(path: Path, start_ns: int | None, refused: Counter[str] | None = None) -> Iterator[Recorded]:
     """A file without its end: chunk by chunk, up to the first that is not whole."""
     channels: dict[int, Channel] = {}
     schemas: dict[int, Schema] = {}
@@ -172,10 +179,18 @@ def _read_cut(path: Path, start_ns: int | None) -> Iterator[Recorded]:
                 channels[record.id] = record
             elif isinstance(record, Message):
                 channel = channels[record.channel_id]
-                late_enough = start_ns is None or record.log_time >= start_ns
-                if late_enough and _is_ours(schemas[channel.schema_id], channel):
+                if start_ns is not None and record.log_time < start_ns:
+                    continue
+                if _is_ours(schemas.get(channel.schema_id), channel):
                     yield Recorded(channel.topic, record.data, record.log_time)
+                else:
+                    _refuse(channel, refused)
 
 
 def _is_ours(schema: Schema | None, channel: Channel) -> bool:
     return schema is not None and schema.name.startswith(SPOTTER_SCHEMA) and channel.message_encoding == "msgpack"
+
+
+def _refuse(channel: Channel, refused: Counter[str] | None) -> None:
+    if refused is not None and find_topic(channel.topic) is not None:
+        refused[channel.topic] += 1

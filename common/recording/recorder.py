@@ -14,12 +14,13 @@ from pathlib import Path
 
 import zenoh
 
+from common.bus.session import undeclare
 from common.clock import monotonic_s, utc_ns
 from common.codec import DecodeError, decode
 from common.messages import Message
+from common.periodic import Periodic
 from common.recording.file import RecordingFile
-from common.session import undeclare
-from common.topics import Topic, find_topic
+from common.topics import RECORDER, Topic, find_topic
 
 FLUSH_PERIOD_S = 0.5
 SYNC_PERIOD_S = 1.0
@@ -49,21 +50,24 @@ class RecorderStatus:
     undecodable: int = 0
     free_bytes: int = 0
     file: str = ""
+    from_services: int = 0  # of the messages, without the word of this and other recorders
 
 
 class DiskFull(RuntimeError):
-    """The disk guard has stopped the recording; what was written is complete."""
+    """There is no room, or none that may be used; the text says what is kept."""
 
 
 @dataclass(frozen=True)
 class Arrival:
+    """One message as it came: key, bytes, and UTC ns when it was taken from the bus."""
+
     key: str
     payload: bytes
     log_ns: int
 
 
 class Recorder:
-    """Records topics of a session until told to stop. ``run`` works in the caller's thread."""
+    """Records topics of a session until it is stopped. ``run`` works in the caller's thread."""
 
     def __init__(
         self,
@@ -101,25 +105,40 @@ class Recorder:
         """Write until ``stop`` is set.
 
         Raises:
-            DiskFull: the disk guard stepped in; the file is closed and complete.
+            DiskFull: the disk guard stepped in and the file is complete, or the disk took no more and the text says
+                up to when the file holds.
         """
         self._options.folder.mkdir(parents=True, exist_ok=True)
         while not stop.is_set():
             self._guard_disk()
-            with self._new_file() as file:
-                self._fill(file, stop, tell)
+            file: RecordingFile | None = None
+            try:
+                file = self._new_file()
+                with file:
+                    self._fill(file, stop, tell)
+            except OSError as error:
+                raise DiskFull(self._what_is_held(file, error)) from None
+
+    def _what_is_held(self, file: RecordingFile | None, error: OSError) -> str:
+        """One line for a disk that takes no more: why, which file, and up to when it holds."""
+        if file is None:
+            return f"{self._options.folder}: {error.strerror}; no new file could be begun"
+        if not file.held_ns:
+            return f"{file.path}: {error.strerror}; recording stopped, the file holds nothing"
+        until = datetime.fromtimestamp(file.held_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
+        return f"{file.path}: {error.strerror}; recording stopped, the file holds everything up to {until} UTC"
 
     def _fill(self, file: RecordingFile, stop: threading.Event, tell: Callable[[RecorderStatus], None]) -> None:
         """One file, until it is full, old, or the recording ends."""
-        opened_s = flushed_s = synced_s = monotonic_s()
+        opened_s = flushed_s = monotonic_s()
+        sync = Periodic(SYNC_PERIOD_S, opened_s)
         while not stop.is_set():
             self._drain(file, until_s=flushed_s + FLUSH_PERIOD_S)
             now_s = monotonic_s()
             file.flush()
             flushed_s = now_s
-            if now_s - synced_s < SYNC_PERIOD_S:
+            if not sync.due(now_s):
                 continue
-            synced_s = now_s
             self._note_status(file)
             file.sync()
             tell(self.status)
@@ -150,6 +169,7 @@ class Recorder:
         self._count_gap(arrival.key, message)
         file.add(arrival.key, topic.message, arrival.payload, arrival.log_ns, message.sent_ns, message.seq)
         self.status.messages += 1
+        self.status.from_services += topic.service != RECORDER
         self.status.bytes += len(arrival.payload)
         if self._options.foxglove:
             self._write_foxglove(file, arrival, message)

@@ -25,7 +25,7 @@ Entries = list[tuple[str, Any]]
 
 
 class Sentence(NamedTuple):
-    """For the log, where it is written when it changes: twenty times a second the same tells nobody anything."""
+    """For the log, where it is written when it changes: not twenty times a second."""
 
     text: str
     level: str

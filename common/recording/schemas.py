@@ -1,4 +1,4 @@
-"""JSON schemas of our messages, for readers of a recording that have never heard of us."""
+"""JSON schemas of the messages, for readers of a recording that do not have this package."""
 
 from __future__ import annotations
 

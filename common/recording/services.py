@@ -6,6 +6,7 @@ import json
 
 import zenoh
 
+from common.bus.vehicles import vehicles_on_bus
 from common.codec import DecodeError, decode
 from common.messages import ServiceInfo
 
@@ -13,8 +14,8 @@ ANSWER_LIMIT_S = 1.0
 
 
 def who_speaks(session: zenoh.Session, host: str = "*") -> dict[str, dict[str, str]]:
-    """``{"<host>/<service>": {version, config_hash, instance, source, config}}``; the configuration is JSON text."""
-    metadata = {}
+    """By ``<host>/<service>``: version, config_hash, instance, source, source_kind, vehicle and, as JSON, config."""
+    metadata, vehicles = {}, vehicles_on_bus(session)
     for reply in session.get(f"{host}/*/info", timeout=ANSWER_LIMIT_S):
         if reply.ok is None:
             continue
@@ -27,6 +28,8 @@ def who_speaks(session: zenoh.Session, host: str = "*") -> dict[str, dict[str, s
             "config_hash": info.config_hash,
             "instance": info.instance,
             "source": info.source,
+            "source_kind": info.source_kind,
+            "vehicle": vehicles.get(info.host, ""),
             "config": json.dumps(info.config, sort_keys=True),
         }
     return metadata

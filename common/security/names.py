@@ -34,6 +34,8 @@ class Name(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Names(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All names that the site's authority has issued, as ``names.json`` keeps them."""
+
     names: dict[str, Name] = {}
 
     def allowed(self, kind: Kind) -> dict[str, str]:
@@ -60,7 +62,7 @@ def read_names(folder: Path) -> Names:
 
 
 class NamesWatch:
-    """Whether somebody put another register there; whoever made rules of the old one has to make them again."""
+    """Whether the register has been replaced; rules made from the old one have to be made again."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

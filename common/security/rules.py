@@ -3,9 +3,12 @@
 Three kinds of neighbours, each with the least it needs; whatever no rule allows is dropped.
 
 - this host's own services, over plain TCP on loopback: may speak as the services that the site puts on this host;
-- the router of another host, known by its certificate: may pass on what that host's services say, and is told only
-  what this host's services say, so nobody relays for a third;
-- laptops, known by their certificates: may listen and ask, and each may say under its own name that it records.
+- the router of another host, known by its certificate: may forward what that host's services publish, and receives
+  only what this host's services publish, so no host relays for a third;
+- laptops, known by their certificates: may subscribe and query; each may publish that it records, under its own name.
+
+ROS topics stand outside of the site's namespace. Those of the domains in ``[ros2]`` pass between programs on this host;
+no other host and no laptop speaks or hears them.
 
 From afar only the questions of a list may be asked, each by the pattern that is in it: a rule allows what it includes,
 so ``**`` would reach a command that changes something, and is no question of the list.
@@ -20,8 +23,8 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
+from common.host.site import Site
 from common.security.names import Names
-from common.site import Site
 from common.topics import COMMANDS, DATA_TOPICS, RAW_TOPICS, RECORDER, status_topic
 
 SAY = ["put"]
@@ -30,7 +33,7 @@ LISTEN = ["declare_subscriber", "liveliness_query", "declare_liveliness_subscrib
 ASK = ["query"]
 ANSWERED = ("status", "info", "clock")  # by every service
 CHUNK = re.compile(r"[a-z0-9_]+")
-SHADOW = "shadow"  # a candidate under comparison speaks below this chunk, heard on its own host only
+SHADOW = "shadow"  # a candidate under comparison speaks below this chunk, received on its own host only
 
 
 def access_rules(site: Site, host: str, names: Names) -> dict[str, Any]:
@@ -49,13 +52,21 @@ def access_rules(site: Site, host: str, names: Names) -> dict[str, Any]:
         _rule(
             "laptops hear the site", SPEAK, [key for name in site.hosts for key in spoken_keys(site, name)], "egress"
         ),
-        _rule("hosts tell of recorders", SAY, list(recorders.values()), "ingress"),
-        _rule("recorders are told of", SAY, list(recorders.values()), "egress"),
+        _rule("hosts announce recorders", SAY, list(recorders.values()), "ingress"),
+        _rule("recorders are announced", SAY, list(recorders.values()), "egress"),
     ]
+    rules += [_rule(f"local ros {flow}", SPEAK + LISTEN + ASK, ros_keys(site), flow) for flow in ("ingress", "egress")]
     subjects: list[dict[str, Any]] = [{"id": "local", "interfaces": ["lo"], "link_protocols": ["tcp"]}]
     policies = [
         _policy(
-            "local", "local speaks", "local asks", "anyone listens", "neighbours are asked", "local hears everything"
+            "local",
+            "local speaks",
+            "local asks",
+            "anyone listens",
+            "neighbours are asked",
+            "local hears everything",
+            "local ros ingress",
+            "local ros egress",
         ),
     ]
     for name, common_name in names.allowed("host").items():
@@ -68,13 +79,13 @@ def access_rules(site: Site, host: str, names: Names) -> dict[str, Any]:
         subjects.append({"id": name, "cert_common_names": [common_name]})
         allowed = [speaks] if spoken else []
         heard = ("anyone listens", "anyone asks", "neighbours are asked", "hosts hear this host")
-        policies.append(_policy(name, *allowed, *heard, "hosts tell of recorders", "recorders are told of"))
+        policies.append(_policy(name, *allowed, *heard, "hosts announce recorders", "recorders are announced"))
     for name, common_name in sorted(names.allowed("laptop").items()):
         records = f"{name} records"
         rules.append(_rule(records, SAY, [recorders[name]] if name in recorders else [], "ingress"))
         subjects.append({"id": f"laptop {name}", "cert_common_names": [common_name]})
-        told = ("laptops hear the site", "recorders are told of")
-        policies.append(_policy(f"laptop {name}", "anyone listens", "anyone asks", *told, records))
+        sees = ("laptops hear the site", "recorders are announced")
+        policies.append(_policy(f"laptop {name}", "anyone listens", "anyone asks", *sees, records))
     rules = [rule for rule in rules if rule["key_exprs"]]
     known = {rule["id"] for rule in rules}
     for policy in policies:
@@ -97,6 +108,15 @@ def spoken_keys(site: Site, host: str, prefix: str = "") -> list[str]:
     return [f"{base}/{one}/{last}" for one in (*services, *([RECORDER] if services else [])) for last in _lasts(one)]
 
 
+def ros_keys(site: Site) -> list[str]:
+    """Topics, caches (``@adv`` is matched by no wildcard) and tokens of the ROS domains that are let through."""
+    return [
+        key
+        for domain in site.ros2.domains
+        for key in (f"{domain}/**", f"{domain}/**/@adv/**", f"@ros2_lv/{domain}/**", f"@ros2_lv/{domain}/**/@adv/**")
+    ]
+
+
 def laptop_recorders(site: Site, names: Names) -> dict[str, str]:
     """By laptop, the one key that it may say something on: the status of its own recorder.
 
@@ -112,7 +132,7 @@ def laptop_recorders(site: Site, names: Names) -> dict[str, str]:
 
 
 def own_commands(site: Site, host: str) -> list[str]:
-    """Commands that only ``host``'s own sessions may give to its services: no other router is told that they exist."""
+    """Commands that only ``host``'s own sessions may give to its services: they are not announced to other routers."""
     services = site.host(host).services
     return [
         f"{site.namespace}/{host}/{command.service}/{command.name}"

@@ -66,6 +66,18 @@ EXAMPLES: list[m.Message] = [
         kind=np.zeros(0, np.uint8),
     ),
     m.EgoMotion(**HEADER, speed_mps=None, yaw_rate_radps=0.1, T_map_vehicle=np.eye(4).tolist()),
+    m.GateState(
+        **HEADER,
+        permission="SLOW",
+        limit_mps=0.5,
+        cause="verdict",
+        because="near",
+        left_s=0.0,
+        acknowledge=False,
+        verdict_seq=None,
+        verdict_age_s=None,
+        outputs={"sim:": "SLOW"},
+    ),
     m.Verdict(
         **HEADER,
         level="SAFE",
@@ -79,7 +91,7 @@ EXAMPLES: list[m.Message] = [
         permission="GO",
     ),
     m.FusionTrace(**HEADER, verdict_seq=3, inputs={"now_s": 1.5}, memory={}, rules={"suppression": "limited"}),
-    m.SystemHealth(**HEADER, sensors={}, colour="green", summary="ALL SENSORS ONLINE", services={}),
+    m.SystemHealth(**HEADER, sensors={}, colour="green", summary="ALL VEHICLE SENSORS ONLINE", services={}),
 ]
 by_name = pytest.mark.parametrize("message", EXAMPLES, ids=lambda message: type(message).__name__)
 

@@ -121,7 +121,7 @@ def test_source_urls() -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "expected one of file:, serial:, sim:"),
+        ("", "no source: give one with --source"),
         ("/dev/tty", "expected one of"),
         ("ftp:x", "expected one of"),
         ("sim:crossing?t1=3", "no parameter 't1' for sim:; allowed: t0"),

@@ -19,6 +19,18 @@ def test_every_topic_is_owned_by_a_service() -> None:
     assert {topic.service for topic in DATA_TOPICS} <= owners
 
 
+def test_the_sensors_are_named_by_their_role_in_the_order_of_the_health_bar() -> None:
+    assert topics.ONBOARD_SENSORS[:3] == ("lidar", "radar", "camera")
+    assert "infra_lidar" not in topics.ONBOARD_SENSORS
+    assert set(topics.SENSOR_TOPICS) - set(topics.ONBOARD_SENSORS) == {"infra_lidar"}
+
+
+def test_every_sensor_has_one_topic_for_fusion_with_an_age_limit() -> None:
+    deciding = [topic for topic in DATA_TOPICS if topic.role is not None]
+    assert len({topic.service for topic in deciding}) == len(deciding)
+    assert all(topic.age_limit_s is not None for topic in deciding)
+
+
 def test_large_topics_never_outrank_small_ones() -> None:
     for topic in DATA_TOPICS:
         assert (topic.congestion == "block_first") == topic.is_large, topic.name
@@ -32,6 +44,7 @@ def test_large_topics_never_outrank_small_ones() -> None:
         ("pi0/radar/info", None),
         ("pi0/radar", None),
         ("pi0/radar/alive/1", None),
+        ("/recorder/status", None),  # of a recording, not of the bus
     ],
 )
 def test_find_topic(key: str, expected: topics.Topic | None) -> None:

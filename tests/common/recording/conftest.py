@@ -72,19 +72,6 @@ def recording_of(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
-def until() -> Callable[[Callable[[], object]], None]:
-    """``until(condition)``: waits a moment at a time until it holds; fails when it never does."""
-
-    def wait(condition: Callable[[], object]) -> None:
-        pause, deadline_s = threading.Event(), time.monotonic() + BUDGET_S
-        while not condition():
-            assert time.monotonic() < deadline_s, "never came true"
-            pause.wait(0.005)
-
-    return wait
-
-
-@pytest.fixture(scope="session")
 def run_recorder() -> Callable[[Recorder, Callable[[], object], int], None]:
     """``run_recorder(recorder, feed, expect)``: feed while it records; stop when so many messages are written."""
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from common.bus.session import open_session
 from common.codec import decode
 from common.config import ZenohConfig
 from common.messages import EgoMotion, LidarZones, Message
 from common.recording.file import RecordingFile
 from common.recording.player import Pace, Player
-from common.session import open_session
 
 Add = Callable[[RecordingFile, str, Message, int], None]
 Until = Callable[[Callable[[], object]], None]
@@ -27,7 +27,9 @@ def test_playing_back_keeps_order_spacing_and_namespaces(
     path = tmp_path / "a.mcap"
     with RecordingFile(path, {}) as file:
         for i in range(20):
-            add(file, "jetson0/lidar/zones", zones(1_000_000 * i), 10**9 + 1_000_000 * i)
+            live_zones = zones(1_000_000 * i)
+            live_zones.source_kind = "live"
+            add(file, "jetson0/lidar/zones", live_zones, 10**9 + 1_000_000 * i)
     replayed = ZenohConfig(connect=zenoh_config.connect, namespace="replay")
     with open_session(zenoh_config) as live, open_session(replayed) as listener, open_session(replayed) as speaker:
         seen: list[LidarZones] = []
@@ -54,6 +56,7 @@ def test_playing_back_keeps_order_spacing_and_namespaces(
         del subscribers
     stamps = [message.stamp_ns for message in seen]
     assert stamps == sorted(stamps)
+    assert {message.source_kind for message in seen} == {"recorded"}  # live when it was recorded
     assert abs(time.time_ns() - stamps[-1]) < 20e9  # the stamps are those of now
     assert stamps[-1] - stamps[0] == pytest.approx(19_000_000 / 4.0, rel=0.01)
 

@@ -14,31 +14,31 @@ import numpy as np
 import pytest
 
 from common import topics
+from common.bus.raw_tap import RawTap, changes, with_changes
+from common.bus.session import open_session
+from common.bus.status import Report
 from common.codec import encode
 from common.config import ConfigError, ZenohConfig
-from common.messages import Message, RawBytes
-from common.raw import RawTap, changes, with_changes
+from common.messages import Message, Motion, RawBytes
 from common.recording import raw as raw_source
 from common.recording.file import RecordingFile
 from common.recording.raw import pieces, replayed
-from common.recording.reprocess import SERVICES, verify_service
-from common.session import open_session
-from common.sim import bgt60, camera, ld06, lidar128
 from common.source_url import SourceUrl
-from common.status import Report
 from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.packet_source import Frame
+from services.infra_lidar.input.packets import Frame
+from services.infra_lidar.input.raw import publish_raw, recorded_frames
+from services.infra_lidar.input.velodyne import Vls128Parser
 from services.infra_lidar.pipeline import InfraLidarPipeline
-from services.infra_lidar.raw import hand_over, recorded_frames
-from services.infra_lidar.velodyne import Vls128Parser
 from services.jetson.camera.config import CameraConfig
 from services.jetson.camera.pipeline import CameraPipeline
 from services.jetson.lidar.config import LidarConfig
 from services.jetson.lidar.decoder import ScanDecoder
 from services.jetson.lidar.pipeline import LidarPipeline
 from services.radar_pi.config import RadarConfig
+from services.radar_pi.emulator.signals import simulator_waveform
 from services.radar_pi.pipeline import RadarPipeline
-from services.radar_pi.signals import simulator_waveform
+from spotter_sim import bgt60, camera, ld06, lidar128
+from spotter_tools.reprocess import SERVICES, verify_service
 
 T0 = 1_795_000_000_000_000_000
 Made = Iterator[Message]
@@ -81,9 +81,9 @@ def radar(raw: RawTap) -> Made:
     pipeline = RadarPipeline(config)
     for i in range(25):
         samples = bgt60.frame("crossing", 4.0 + 0.1 * i, simulator_waveform(config.waveform))
-        speed_mps = 1.0 + 0.01 * i
-        raw("bgt60", T0 + i * 100_000_000, samples, T0 + i * 100_000_000 + 7, 0, note="", speed_mps=speed_mps)
-        yield pipeline.process(T0 + i * 100_000_000, samples, speed_mps, 0, "")
+        motion = Motion(1.0 + 0.01 * i)
+        raw("bgt60", T0 + i * 100_000_000, samples, T0 + i * 100_000_000 + 7, 0, note="", motion=motion)
+        yield pipeline.process(T0 + i * 100_000_000, samples, motion, 0, "")
 
 
 @records("camera")
@@ -101,7 +101,7 @@ def roadside(raw: RawTap) -> Made:
     for i in range(12):
         scan = lidar128.scan("crossing", 3.0 + 0.1 * i, 600)
         frame = Frame(np.column_stack([scan.xyz, scan.intensity, scan.ring]).astype(np.float32), T0 + i)
-        hand_over(raw, T0 + i * 100_000_000, frame)
+        publish_raw(raw, T0 + i * 100_000_000, frame)
         yield pipeline.process(T0 + i * 100_000_000, frame.points, frame.quality, frame.received_ns).tracks
 
 
@@ -153,9 +153,9 @@ def test_packets_of_a_128_beam_lidar_become_the_same_points(tmp_path: Path) -> N
         packet = bytearray(block + struct.pack("<IBB", 166 * k, 0x37, 0xA1))
         for at in range(12):
             struct.pack_into("<H", packet, 100 * at + 2, (60 * k + 20 * (at // 4)) % 36000)
-        if (turn := parser.feed(bytes(packet), T0 + k)) is not None:
-            frames.append(turn)
-            hand_over(tap, turn.stamp_ns, Frame(turn.points, turn.stamp_ns, turn.quality, turn.packets, turn.metadata))
+        if (one := parser.feed(bytes(packet), T0 + k)) is not None:
+            frames.append(one)
+            publish_raw(tap, one.stamp_ns, Frame(one.points, one.stamp_ns, one.quality, one.packets, one.metadata))
     with RecordingFile(tmp_path / "a.mcap", {}) as file:
         for piece in outlet.sent:
             assert piece.kind == "velodyne"
@@ -183,7 +183,7 @@ def test_a_listener_that_was_there_first_gets_the_first_piece() -> None:
 
 def test_nothing_is_kept_for_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = [10.0]
-    monkeypatch.setattr("common.raw.monotonic_s", lambda: now_s[0])
+    monkeypatch.setattr("common.bus.raw_tap.monotonic_s", lambda: now_s[0])
     outlet, made = Outlet(wanted=False), []
     tap = RawTap(outlet)
     tap("ld06", T0, b"\x00")

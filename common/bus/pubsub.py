@@ -1,0 +1,170 @@
+"""Typed publishers and newest-value subscribers. Policy comes from the topics table."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import zenoh
+
+from common.bus.session import undeclare
+from common.bus.status import Report
+from common.clock import monotonic_s, utc_ns
+from common.codec import DecodeError, EncodeError, decode, encode_for_readers, encoding_of
+from common.messages import Message
+from common.topics import Topic
+
+log = logging.getLogger("publisher")
+M = TypeVar("M", bound=Message)
+
+_PRIORITY = {
+    "real_time": zenoh.Priority.REAL_TIME,
+    "interactive_high": zenoh.Priority.INTERACTIVE_HIGH,
+    "data_high": zenoh.Priority.DATA_HIGH,
+    "data": zenoh.Priority.DATA,
+    "data_low": zenoh.Priority.DATA_LOW,
+    "background": zenoh.Priority.BACKGROUND,
+}
+_CONGESTION = {
+    "drop": zenoh.CongestionControl.DROP,
+    "block_first": zenoh.CongestionControl.BLOCK_FIRST,
+}
+_RING_FOR_WILDCARD = 64
+
+
+class Publisher:
+    """Call it with a message: it counts, stamps the sending time, encodes, checks as a reader would, and puts.
+
+    A message that its readers would refuse is mended where that invents nothing, and else not sent; both are counted.
+    """
+
+    def __init__(self, session: zenoh.Session, topic: Topic, key: str, report: Report) -> None:
+        self._session = session
+        self._topic = topic
+        self._report = report
+        self._seq = 0
+        self._out = self._declare(key)
+
+    def _declare(self, key: str) -> tuple[zenoh.Publisher, threading.Event]:
+        publisher = self._session.declare_publisher(
+            key,
+            encoding=encoding_of(self._topic.message),
+            priority=_PRIORITY[self._topic.priority],
+            congestion_control=_CONGESTION[self._topic.congestion],
+        )
+        return publisher, threading.Event()
+
+    def move(self, key: str) -> threading.Event:
+        """Speak under another key from the next message on; the event is set once that message is out."""
+        self._out = self._declare(key)  # one assignment: the thread that publishes sees either the old or the new
+        return self._out[1]
+
+    @property
+    def decided_on(self) -> bool:
+        """Others act on this topic: it has an age limit."""
+        return self._topic.age_limit_s is not None
+
+    @property
+    def wanted(self) -> bool:
+        """False when nobody listens to an on-demand topic, so that the work of making it can be spared."""
+        return self.heard if self._topic.on_demand else True
+
+    @property
+    def heard(self) -> bool:
+        """Somebody listens now."""
+        status: Any = self._out[0].matching_status  # an object that is always true, whatever its stub says
+        return bool(status.matching)
+
+    def __call__(self, message: Message) -> None:
+        if not isinstance(message, self._topic.message):
+            raise TypeError(f"{self._topic.name} carries {self._topic.message.__name__}, got {type(message).__name__}")
+        message.seq = self._seq
+        message.sent_ns = utc_ns()
+        if self._report.source_kind != "unknown":
+            message.source_kind = self._report.source_kind
+        publisher, spoken = self._out
+        try:
+            payload, mended = encode_for_readers(message)
+        except EncodeError as error:
+            log.error("not sent: %s", error)
+            self._report.bad_input(f"unsendable {self._topic.name}")
+            self._report.state("degraded", f"{self._topic.name} not sent: {error}"[:2000])
+            return
+        if mended:
+            self._report.count(f"mended {self._topic.name}")
+        publisher.put(payload)
+        spoken.set()
+        self._seq += 1
+        self._report.published(message, primary=self.decided_on)
+
+
+@dataclass(frozen=True)
+class Received(Generic[M]):
+    """A message with when it came, on the reader's own clocks, and from where."""
+
+    key: str
+    message: M
+    arrived_s: float  # monotonic
+    arrived_ns: int  # UTC, for transport times only
+
+
+class Latest(Generic[M]):
+    """Newest value per key: a slow reader skips, it never queues. Decoding happens in ``take``, in the reader's thread.
+
+    ``wake`` is set on every arrival, so that one loop can wait for several subscriptions.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        topic: Topic,
+        message_type: type[M],
+        key_expr: str,
+        report: Report,
+        wake: threading.Event,
+    ) -> None:
+        self._topic = topic
+        self._type = message_type
+        self._report = report
+        self._wake = wake
+        self._lock = threading.Lock()
+        self._newest: dict[str, tuple[zenoh.Sample, float, int]] = {}
+        self.refused: dict[str, str] = {}  # by key: what was wrong with what the last ``take`` refused
+        ring = _RING_FOR_WILDCARD if "*" in key_expr else 1
+        self._subscriber = session.declare_subscriber(key_expr, zenoh.handlers.RingChannel(ring))
+        self._thread = threading.Thread(target=self._receive, name=f"latest {topic.name}", daemon=True)
+        self._thread.start()
+
+    def take(self) -> list[Received[M]]:
+        """What has arrived since the last call, at most one message per key; undecodable ones are counted."""
+        with self._lock:
+            newest, self._newest = self._newest, {}
+        self.refused = {}
+        taken: list[Received[M]] = []
+        for key, (sample, arrived_s, arrived_ns) in newest.items():
+            try:
+                message = decode(sample.payload.to_bytes(), self._type, self._topic.max_bytes)
+            except DecodeError as error:
+                # Only the topic: the words of the error would let a sender fill our memory.
+                self._report.bad_input(f"undecodable {self._topic.name}")
+                self.refused[key] = str(error)
+                continue
+            taken.append(Received(key, message, arrived_s, arrived_ns))
+        return taken
+
+    def close(self) -> None:
+        undeclare(self._subscriber)
+
+    def _receive(self) -> None:
+        try:
+            for sample in self._subscriber:
+                if sample.kind != zenoh.SampleKind.PUT:
+                    continue
+                arrival = (sample, monotonic_s(), utc_ns())
+                with self._lock:
+                    self._newest[str(sample.key_expr)] = arrival
+                self._wake.set()
+        except zenoh.ZError:
+            return  # the session is closed

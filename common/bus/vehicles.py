@@ -1,0 +1,40 @@
+"""Which host belongs to which vehicle, as the fusions on the bus say it: each knows the hosts of its own vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import zenoh
+
+from common.codec import DecodeError, decode
+from common.messages import ServiceInfo
+from common.topics import info_key
+
+ANSWER_LIMIT_S = 1.0
+ROADSIDE = "roadside"
+
+
+def vehicles_on_bus(session: zenoh.Session) -> dict[str, str]:
+    """Ask every fusion. ``{"pi0": "car0", ...}``; empty where no vehicle has a name."""
+    replies = session.get(
+        info_key("*", "fusion"),
+        timeout=ANSWER_LIMIT_S,
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+    )
+    return vehicles_in([reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None])
+
+
+def vehicles_in(answers: Iterable[bytes]) -> dict[str, str]:
+    """From what fusions say of themselves (``ServiceInfo``); what cannot be read is left out."""
+    found: dict[str, str] = {}
+    for answer in answers:
+        try:
+            vehicle: Any = decode(answer, ServiceInfo).config.get("vehicle")
+        except DecodeError:
+            continue
+        if isinstance(vehicle, dict) and vehicle.get("name"):
+            found |= {str(host): ROADSIDE for host in vehicle.get("roadside_hosts", ()) if host not in found}
+            found |= {str(host): str(vehicle["name"]) for host in vehicle.get("hosts", ())}
+    return found

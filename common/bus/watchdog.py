@@ -1,0 +1,48 @@
+"""Heartbeat for systemd or our own supervisor as datagrams of sd_notify(3), in a container as a file that is touched.
+
+Does nothing unless NOTIFY_SOCKET or SPOTTER_ALIVE (a folder) is set.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from pathlib import Path
+
+
+class Watchdog:
+    """``ready`` once, then ``alive`` only while the work makes progress: silence means restart me."""
+
+    def __init__(self, name: str) -> None:
+        self._address = os.environ.get("NOTIFY_SOCKET", "")
+        folder = os.environ.get("SPOTTER_ALIVE", "")
+        self._file = Path(folder, name) if folder else None
+        if self._file is not None:
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+        self._ready = False
+
+    @property
+    def limit_s(self) -> float:
+        """How long systemd lets us be silent (WATCHDOG_USEC); 0 = it does not watch."""
+        return int(os.environ.get("WATCHDOG_USEC", "0")) * 1e-6
+
+    def ready(self, status: str = "") -> None:
+        """The start is over. Further calls only change the status line."""
+        self._send(f"STATUS={status}" if self._ready else f"READY=1\nSTATUS={status}")
+        self._ready = True
+
+    def alive(self) -> None:
+        self._send("WATCHDOG=1")
+        if self._file is not None:
+            self._file.touch()
+
+    def _send(self, text: str) -> None:
+        if not self._address:
+            return
+        address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+            sender.setblocking(False)  # a supervisor that is stopped itself must not stop us
+            try:
+                sender.sendto(text.encode(), address)
+            except OSError:
+                return  # nobody listens any more

@@ -1,0 +1,67 @@
+"""Whether a supervised process still works: what it says of itself through sd_notify(3), as systemd would hear it.
+
+A process that never says READY=1 (a program that is not ours, a service that still starts) is not judged.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from pathlib import Path
+
+READ_BYTES = 4096
+# A service shows life from a thread of its own, and stops when its main loop has stood for half of this (systemd's
+# WatchdogSec of our units): opening a camera may take its time.
+WATCHDOG_S = 30.0
+
+
+class Heartbeat:
+    """The listening end of one service's NOTIFY_SOCKET, at ``path``. Times are monotonic seconds, given by the caller.
+
+    Raises:
+        OSError: the socket cannot be made, for example because the path is too long.
+    """
+
+    def __init__(self, path: Path, limit_s: float) -> None:
+        self.limit_s = limit_s
+        self._path = path
+        self._last_s: float | None = None  # None = not ready yet
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind(str(path))
+        except OSError:
+            self._socket.close()
+            raise
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What the process has to know."""
+        return {"NOTIFY_SOCKET": str(self._path), "WATCHDOG_USEC": str(round(WATCHDOG_S * 1e6))}
+
+    def begin(self) -> None:
+        """Another process speaks from now on; what the one before it said is forgotten."""
+        self._read()
+        self._last_s = None
+
+    def silent_s(self, now_s: float) -> float:
+        """Seconds since the last sign of life; 0.0 while it is not ready. Call it more often than every second."""
+        text = self._read()
+        if "READY=1" in text or (self._last_s is not None and "WATCHDOG=1" in text):
+            self._last_s = now_s
+        return 0.0 if self._last_s is None else now_s - self._last_s
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._socket.close()
+        with contextlib.suppress(OSError):
+            os.unlink(self._path)
+
+    def _read(self) -> str:
+        """All that came since the last call."""
+        texts = []
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                texts.append(self._socket.recv(READ_BYTES).decode(errors="replace"))
+        return "\n".join(texts)

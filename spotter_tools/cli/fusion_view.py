@@ -1,0 +1,106 @@
+"""What one fusion says, for `spotter top` and `spotter metrics`: its verdict, its sensors, and how late they are.
+
+A site with several vehicles has one for each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import msgspec
+
+from common.messages import SensorState, SourceKind, SystemHealth, Verdict
+from common.topics import FUSION_VERDICT
+
+LATENCY_WINDOW_S = 60.0
+MAX_LATENCIES = 20_000
+VERDICT_AGE_LIMIT_S = FUSION_VERDICT.age_limit_s or math.inf
+
+
+class SensorView(msgspec.Struct, kw_only=True):
+    """How fusion sees one sensor."""
+
+    state: SensorState
+    reason: str
+    source_kind: SourceKind
+    latency_p50_ms: float | None
+    latency_p99_ms: float | None
+
+
+class FusionView(msgspec.Struct, kw_only=True):
+    """One fusion. ``host`` is empty where none was heard; ``verdict`` is None when the newest is too old."""
+
+    host: str
+    vehicle: str
+    verdict: Verdict | None
+    verdict_silent_s: float
+    colour: str
+    summary: str
+    sensors: dict[str, SensorView]
+
+    @property
+    def name(self) -> str:
+        """``car1``, or the host where the vehicle has no name."""
+        return self.vehicle or self.host
+
+
+class FusionWatch:
+    """Keeps the newest verdict and health of one fusion. All times are monotonic seconds."""
+
+    def __init__(self, started_s: float) -> None:
+        self._at_s = started_s
+        self._verdict: Verdict | None = None
+        self._health: SystemHealth | None = None
+        self._last_stamp_ns: dict[str, int] = {}
+        self._latencies_ms: dict[str, deque[tuple[float, float]]] = {}
+
+    @property
+    def has_decided(self) -> bool:
+        return self._verdict is not None
+
+    def note_verdict(self, verdict: Verdict, now_s: float) -> None:
+        """Take a verdict, and from it how long after the measurement it was sent."""
+        self._verdict, self._at_s = verdict, now_s
+        for name, used in verdict.inputs.items():
+            if used.stamp_ns and self._last_stamp_ns.get(name) != used.stamp_ns:
+                self._last_stamp_ns[name] = used.stamp_ns
+                recent = self._latencies_ms.setdefault(name, deque(maxlen=MAX_LATENCIES))
+                recent.append((now_s, (verdict.sent_ns - used.stamp_ns) / 1e6))
+
+    def note_health(self, health: SystemHealth) -> None:
+        self._health = health
+
+    def view(self, host: str, vehicle: str, now_s: float) -> FusionView:
+        """What is to be shown at this moment."""
+        silent_s = now_s - self._at_s
+        return FusionView(
+            host=host,
+            vehicle=vehicle,
+            verdict=self._verdict if silent_s <= VERDICT_AGE_LIMIT_S else None,
+            verdict_silent_s=silent_s,
+            colour=self._health.colour if self._health else "",
+            summary=self._health.summary if self._health else "",
+            sensors=self._sensors(now_s),
+        )
+
+    def _sensors(self, now_s: float) -> dict[str, SensorView]:
+        views = {}
+        for name, sensor in self._health.sensors.items() if self._health else ():
+            recent = self._latencies_ms.get(name, deque())
+            while recent and recent[0][0] < now_s - LATENCY_WINDOW_S:
+                recent.popleft()
+            values = sorted(ms for _, ms in recent)
+            views[name] = SensorView(
+                state=sensor.state,
+                reason=sensor.reason,
+                source_kind=sensor.source_kind,
+                latency_p50_ms=quantile(values, 0.50),
+                latency_p99_ms=quantile(values, 0.99),
+            )
+        return views
+
+
+def quantile(ordered: list[float], fraction: float) -> float | None:
+    """The nearest-rank quantile of sorted values; None of none."""
+    return ordered[max(0, math.ceil(fraction * len(ordered)) - 1)] if ordered else None

@@ -1,0 +1,83 @@
+"""All cases over all cores: each driven by Spotter and by the article's rules, beside what physics allows."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from spotter_tools.prove.case import Case, Outcome
+from spotter_tools.prove.yardstick import Yardstick
+
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # a case each, not a core each
+
+
+@dataclass(frozen=True)
+class Result:
+    """One case, and what came of it under each decider."""
+
+    name: str
+    family: str
+    preset: str
+    dangerous: bool
+    out: str
+    ego: bool
+    tags: tuple[str, ...]
+    yardstick: Yardstick
+    spotter: Outcome
+    article: Outcome
+
+    @property
+    def failed(self) -> bool:
+        """Spotter hit what could be avoided, or braked or said IMMINENT for nothing."""
+        if self.dangerous:
+            return self.yardstick.avoidable and self.spotter.collided
+        return self.spotter.collided or self.spotter.false_brakes > 0 or self.spotter.imminent_s > 0.0
+
+
+def prove_case(case: Case, pictures: Path | None = None) -> Result:
+    """Drive one case both ways; a failed one is drawn into the folder ``pictures``."""
+    from spotter_tools.prove.judge import judge
+    from spotter_tools.prove.loop import drive
+    from spotter_tools.prove.yardstick import measure
+
+    yardstick = measure(case)
+    ours = drive(case, "spotter")
+    result = Result(
+        case.name, case.family, case.preset, case.dangerous, case.out, case.ego, case.tags, yardstick,
+        spotter=judge(ours, yardstick), article=judge(drive(case, "article"), yardstick),
+    )  # fmt: skip
+    if result.failed and pictures is not None:
+        from spotter_tools.prove.picture import draw
+
+        draw(ours, result, pictures)
+    return result
+
+
+def prove(
+    cases: Iterable[Case], jobs: int, pictures: Path | None = None, told: Callable[[Result], None] = lambda _: None
+) -> list[Result]:
+    """Results in the order of the cases; ``told`` hears each as it comes."""
+    cases = list(cases)
+    if jobs <= 1:
+        results = []
+        for case in cases:
+            results.append(prove_case(case, pictures))
+            told(results[-1])
+        return results
+    found: dict[int, Result] = {}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        waiting = {pool.submit(prove_case, case, pictures): i for i, case in enumerate(cases)}
+        for done in as_completed(waiting):
+            found[waiting[done]] = done.result()
+            told(done.result())
+    return [found[i] for i in range(len(cases))]
+
+
+def as_json(results: list[Result]) -> list[dict[str, object]]:
+    """For a file: every field of every result."""
+    return [{**asdict(result), "failed": result.failed} for result in results]

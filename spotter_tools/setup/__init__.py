@@ -1,0 +1,1 @@
+"""`spotter setup`: from the devices that are plugged in to a site file."""

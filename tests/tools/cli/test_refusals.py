@@ -1,0 +1,109 @@
+"""What a command says when it is given something that cannot be: one sentence, never a traceback."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from spotter_tools.cli import fail
+from spotter_tools.cli.__main__ import app
+
+runner = CliRunner()
+PROTOCOLS = "protocols are tcp, tls, udp, quic, ws, unixsock-stream, unixpipe, serial, vsock"
+ENDPOINT = "expected PROTOCOL/HOST:PORT, e.g. tcp/127.0.0.1:7447"
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["ls", "--connect", "foo"], 1, f"[zenoh] endpoint 'foo': {ENDPOINT}; {PROTOCOLS}"),
+        (["ls", "--connect", "tpc/10.0.0.1:7447"], 1, f"[zenoh] endpoint 'tpc/10.0.0.1:7447': {ENDPOINT}; {PROTOCOLS}"),
+        (
+            ["echo", "x", "--connect", "tcp/10.0.0.1"],
+            1,
+            f"[zenoh] endpoint 'tcp/10.0.0.1': {ENDPOINT}; its port is missing",
+        ),
+        (["demo", "--listen", "bogus"], 2, f"'bogus' is no endpoint: {ENDPOINT}"),
+        (
+            ["demo", "--scenario", "nowhere"],
+            2,
+            "radar: source sim:nowhere: no scenario 'nowhere'; known: crossing, empty, faults, drive, emergency",
+        ),
+        (["up", "mars"], 2, "no services on host 'mars'; known hosts: infra0, jetson0, pi0"),
+    ],
+)
+def test_a_place_that_cannot_be(words: list[str], code: int, said: str) -> None:
+    refused = runner.invoke(app, words)
+    assert (refused.exit_code, refused.output) == (code, f"spotter: {said}\n")
+
+
+def test_a_plot_names_the_endings_it_can_write(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "story.xyz"
+    refused = runner.invoke(app, ["plot", str(recording), str(out)])
+    assert (refused.exit_code, refused.output) == (
+        1,
+        f"spotter: {out}: expected a name that ends in .png, .svg, .pdf\n",
+    )
+
+
+@pytest.mark.parametrize("ending", ["svg", "pdf"])
+def test_a_plot_as_a_drawing(recording: Path, tmp_path: Path, ending: str) -> None:
+    out = tmp_path / f"story.{ending}"
+    assert runner.invoke(app, ["plot", str(recording), str(out)]).exit_code == 0
+    assert out.stat().st_size > 1000
+
+
+def test_a_plot_past_the_end(recording: Path, tmp_path: Path) -> None:
+    refused = runner.invoke(app, ["plot", str(recording), str(tmp_path / "x.png"), "--from", "100"])
+    assert refused.exit_code == 1
+    assert refused.output == f"spotter: {recording} is 5.9 s long; --from 100 is past its end\n"
+
+
+def test_a_plot_into_nowhere(recording: Path) -> None:
+    refused = runner.invoke(app, ["plot", str(recording), "/proc/nowhere/x.png"])
+    assert refused.output == "spotter: /proc/nowhere/x.png: cannot be written: No such file or directory\n"
+
+
+def test_a_table_into_nowhere(recording: Path) -> None:
+    refused = runner.invoke(app, ["export", str(recording), "/proc/nowhere/x.csv"])
+    assert (refused.exit_code, refused.output) == (
+        1,
+        "spotter: /proc/nowhere/x.csv: cannot be written: No such file or directory\n",
+    )
+
+
+def test_a_recording_into_nowhere(router_endpoint: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    refused = runner.invoke(app, ["record", str(tmp_path / "file" / "x"), "--connect", router_endpoint])
+    assert refused.exit_code == 1
+    assert refused.output.splitlines()[-1] == (
+        f"spotter: {tmp_path}/file/x: Not a directory; nothing can be recorded there"
+    )
+
+
+def test_a_recording_of_nothing_is_no_success(router_endpoint: str, tmp_path: Path) -> None:
+    refused = runner.invoke(app, ["record", str(tmp_path), "--seconds", "1", "--connect", router_endpoint])
+    assert refused.exit_code == 1
+    assert "not one message came; `spotter ls` shows who is alive" in refused.output
+
+
+@pytest.mark.parametrize(
+    ("constraints", "install"),
+    [
+        ("constraints.txt", 'uv pip install -c constraints.txt ".[record]"'),
+        ("none.txt", "pip install 'spotter-0.1.0-py3-none-any.whl[record]'"),
+    ],
+    ids=["clone", "wheel"],
+)
+def test_an_extra_that_is_missing_is_named_with_how_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, constraints: str, install: str
+) -> None:
+    (tmp_path / "constraints.txt").touch()
+    monkeypatch.setattr(fail, "CONSTRAINTS", tmp_path / constraints)
+    monkeypatch.setitem(sys.modules, "common.recording.reader", None)
+    refused = runner.invoke(app, ["export", str(tmp_path / "x.mcap"), str(tmp_path / "x.csv")])
+    assert refused.exit_code == 1
+    assert refused.output == f"spotter: exporting needs the extra `record`, which is not installed: {install}\n"

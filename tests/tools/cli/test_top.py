@@ -1,0 +1,141 @@
+"""One look at a small real system: as text, as JSON, on the screen."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable
+
+import msgspec
+import pytest
+from typer.testing import CliRunner
+
+from common.bus.runtime import Service
+from common.bus.status import Report
+from common.codec import encode
+from common.config import ServiceConfig, ZenohConfig
+from spotter_tools.cli.__main__ import app
+from spotter_tools.cli.connect import bus
+from spotter_tools.cli.fusion_view import quantile
+from spotter_tools.cli.system_view import Observer, Overview
+
+pytestmark = pytest.mark.patient
+
+Until = Callable[[Callable[[], object]], None]
+runner = CliRunner()
+
+
+def service_of(overview: Overview, name: str) -> object:
+    return next((one for one in overview.services if one.service == name), None)
+
+
+def test_an_overview_holds_what_is_there(speaking: str, until: Until) -> None:
+    with bus(speaking, "spotter") as session:
+        observer = Observer(session)
+        until(lambda: observer.complete() and len(observer.overview().services) == 3)
+        until(lambda: all(one.cpu_share is not None for one in observer.overview().services))
+        until(lambda: observer.overview().fusions[0].sensors["lidar"].latency_p99_ms is not None)
+        overview = observer.overview()
+        observer.close()
+    (fusion,) = overview.fusions
+    assert fusion.verdict is not None
+    assert (fusion.host, fusion.vehicle, fusion.verdict.level) == ("jetson0", "", "CAUTION")
+    assert (fusion.sensors["lidar"].latency_p50_ms or 0) >= 20  # the verdict is of a measurement 20 ms before
+    assert [(one.host, one.service, one.instances, one.state) for one in overview.services] == [
+        ("jetson0", "fusion", 1, "online"), ("jetson0", "lidar", 1, "online"), ("pi0", "radar", 1, "online"),
+    ]  # fmt: skip
+    verdicts = next(one for one in overview.topics if one.key == "jetson0/fusion/verdict")
+    assert verdicts.rate_hz > 5
+    assert verdicts.bytes_per_s > 1000
+    assert not verdicts.stale
+
+
+def test_a_laptop_s_recorder_is_there_while_it_tells(speaking: str, until: Until) -> None:
+    """Where rules are in force it has no token."""
+
+    def state(observer: Observer) -> object:
+        return getattr(service_of(observer.overview(), "recorder"), "state", None)
+
+    with bus(speaking, "spotter") as session, bus(speaking, "spotter") as laptop:
+        observer = Observer(session)
+        word = encode(Report("x").snapshot())
+        until(lambda: laptop.put("laptop1/recorder/status", word) or state(observer) == "starting")
+        until(lambda: state(observer) == "disconnected")
+        observer.close()
+
+
+def test_one_host_can_be_looked_at_alone(speaking: str, until: Until) -> None:
+    with bus(speaking, "spotter") as session:
+        observer = Observer(session, "pi0")
+        until(lambda: observer.complete() and len(observer.overview().topics) >= 2)
+        overview = observer.overview()
+        observer.close()
+    assert {one.host for one in overview.services} == {"pi0"}
+    assert {one.key.split("/")[0] for one in overview.topics} == {"pi0"}
+    assert [(fusion.host, fusion.verdict) for fusion in overview.fusions] == [("", None)]
+
+
+def test_a_service_that_went_away_is_said_to_be_gone(zenoh_config: ZenohConfig, until: Until) -> None:
+    with bus(zenoh_config.connect[0], "spotter") as session:
+        observer = Observer(session)
+        with Service("radar", ServiceConfig(host="pi0", zenoh=zenoh_config)):
+            until(lambda: observer.overview().services and observer.overview().services[0].rss_mb > 0)
+        until(lambda: observer.overview().services[0].instances == 0)
+        (radar,) = observer.overview().services
+        observer.close()
+    assert (radar.state, radar.reason) == ("disconnected", "the process is gone")
+
+
+def test_once_prints_everything_as_text_and_as_json(speaking: str) -> None:
+    text = runner.invoke(app, ["top", "--once", "--connect", speaking])
+    assert text.exit_code == 0, text.output
+    for words in ("CAUTION -> SLOW", "GREEN: bar", "pi0/radar", "jetson0/fusion/verdict", "MB"):
+        assert words in text.output
+    line = runner.invoke(app, ["top", "--once", "--json", "--connect", speaking])
+    seen = json.loads(line.stdout)
+    assert seen["fusions"][0]["verdict"]["rule"] == "R-CAUTION"
+    assert {one["service"] for one in seen["services"]} == {"fusion", "lidar", "radar"}
+    assert msgspec.convert(seen, Overview, strict=False).fusions[0].colour == "green"
+
+
+def test_silence_is_no_verdict(zenoh_config: ZenohConfig) -> None:
+    result = runner.invoke(app, ["top", "--once", "--connect", zenoh_config.connect[0]])
+    assert "NO VERDICT" in result.output
+    assert "treat as STOP" in result.output
+
+
+def test_the_screen_shows_it_and_q_quits(speaking: str, until: Until) -> None:
+    top_app = pytest.importorskip("spotter_tools.cli.top_app")
+    from textual.widgets import DataTable, Static
+
+    with bus(speaking, "spotter") as session:
+        observer = Observer(session)
+        until(lambda: observer.complete() and len(observer.overview().services) == 3)
+        screen = top_app.TopApp(observer, 0.1)
+
+        async def use() -> None:
+            async with screen.run_test(size=(160, 50)) as pilot:
+                await pilot.pause()
+                services = screen.query_one("#services", DataTable)
+                assert [services.get_cell_at((row, 0)) for row in range(3)] == [
+                    "jetson0/fusion", "jetson0/lidar", "pi0/radar",
+                ]  # fmt: skip
+                assert "CAUTION" in str(screen.query_one("#verdict", Static).render())
+                assert screen.query_one("#verdict", Static).has_class("CAUTION")
+                await pilot.press("p")
+                assert screen.sub_title == "paused"
+                await pilot.press("q")
+            assert not screen.is_running
+
+        asyncio.run(use())
+        observer.close()
+
+
+def test_quantiles_are_ranks() -> None:
+    values = [float(i) for i in range(1, 101)]
+    assert (quantile(values, 0.5), quantile(values, 0.99), quantile([3.0], 0.99), quantile([], 0.5)) == (
+        50,
+        99,
+        3,
+        None,
+    )
