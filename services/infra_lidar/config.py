@@ -1,7 +1,6 @@
 """Every setting of the infrastructure lidar service; ``infra_lidar.toml`` lists them with units and reasons.
 
-The defaults are our own design. ``ARTICLE_GROUND``, ``ARTICLE_CLUSTERING`` and ``ARTICLE_TRACKING`` are the settings of
-the article the pipeline started from (see README.md), for comparison and for the benchmark.
+The defaults are our own design; ``benchmarks/article/presets.py`` has the settings of the article it started from.
 """
 
 from __future__ import annotations
@@ -12,9 +11,9 @@ import msgspec
 from msgspec import Meta
 
 from common.config import Section, ServiceConfig
-from services.infra_lidar.tracking_config import ARTICLE_TRACKING, TrackingConfig
+from services.infra_lidar.tracking.config import TrackingConfig
 
-__all__ = ["ARTICLE_CLUSTERING", "ARTICLE_GROUND", "ARTICLE_TRACKING", "InfraLidarConfig", "TrackingConfig"]
+__all__ = ["InfraLidarConfig", "TrackingConfig"]
 
 Positive = Annotated[float, Meta(gt=0.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
@@ -25,17 +24,17 @@ Degrees = Annotated[float, Meta(ge=0.0, le=90.0)]
 class CalibrationConfig(Section, frozen=True, kw_only=True):
     """Where the road is, as seen from the sensor: estimated from the first frames, then kept."""
 
-    radius_m: Positive = 20.0  # points farther away (3-D) do not count: the road is a plane only near the pole
+    radius_m: Positive = 20.0  # points farther away (3-D) do not count, unless there is too little road within
     inlier_m: Positive = 0.10
     max_tilt_deg: Degrees = 35.0  # the mounting prior: the road's normal lies within this cone about the prior's
-    prior_roll_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] = 0.0
+    prior_roll_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] = 0.0  # 180 = upside down
     prior_pitch_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] = 0.0  # positive = looks down
     height_min_m: float = -0.5
     height_max_m: float = 25.0
     hypotheses: Annotated[int, Meta(ge=16, le=20_000)] = 1000
     seed: int = 1
     frames: Annotated[int, Meta(ge=1, le=100)] = 5  # frames that are pooled; the first one already gives an answer
-    max_error_deg: Positive = 0.5  # reported error above which the calibration is refused
+    max_error_deg: Positive = 0.5  # stated error above which the calibration is refused
     store: str = ""  # folder where calibration and background are kept; empty = nowhere
     check_period_s: Positive = 2.0  # nudge watch: how often the road is looked at again
     nudge_tilt_deg: Positive = 0.5
@@ -45,7 +44,6 @@ class CalibrationConfig(Section, frozen=True, kw_only=True):
 class GroundConfig(Section, frozen=True, kw_only=True):
     """Polar grid of low-percentile heights in the levelled frame."""
 
-    method: Literal["surface", "flat"] = "surface"  # "flat": one height per cell, as in the article
     range_max_m: Annotated[float, Meta(gt=0.0, le=250.0)] = 100.0
     height_min_m: Annotated[float, Meta(ge=-10.0, lt=0.0)] = -3.0  # clip, relative to the road at the pole's foot
     height_max_m: Annotated[float, Meta(gt=0.0, le=20.0)] = 6.0
@@ -59,8 +57,8 @@ class GroundConfig(Section, frozen=True, kw_only=True):
     below_m: NotNegative = 0.30  # a point is ground from this far below the surface ...
     above_m: NotNegative = 0.15  # ... to this far above it
     keep_below: bool = False  # points lower than that are obstacles (the article) or nothing
-    max_step: Share = 0.12  # "surface": slope that may be overlooked while the road is hidden
-    step_up_m: NotNegative = 0.20  # "surface": a cell farther above its inner neighbours is a thing on the road ...
+    max_step: Share = 0.12  # slope that may be overlooked while the road is hidden
+    step_up_m: NotNegative = 0.20  # a cell farther above its inner neighbours is a thing on the road ...
     step_down_m: NotNegative = 0.40  # ... and farther below them a hole
 
     def __post_init__(self) -> None:
@@ -77,14 +75,12 @@ class ClusteringConfig(Section, frozen=True, kw_only=True):
     connectivity: Literal[4, 8] = 4
     min_points: Annotated[int, Meta(ge=1)] = 10
     max_points: Annotated[int, Meta(ge=1)] = 30_000
-    shape_points: Annotated[int, Meta(ge=0)] = 1024  # of a larger piece so many tell box and class; 0 = all
     max_height_m: Positive = 5.0
     min_top_m: float = 0.4  # a cluster that does not reach this far above the road is no road user
     max_diagonal_m: Positive = 20.0
     body_height_m: NotNegative = 2.2  # cells are filled by points below this; higher ones join tall things. 0 = off
-    trim_ground: bool = False  # the article's second look at a cluster's lowest points
-    split: Literal["heads", "gap", "off"] = "heads"  # groups of people: by heads; or (article) at gaps along their axis
-    merge: Literal["fragments", "engulfed", "off"] = "fragments"  # pieces of vehicles; or (article) boxes inside boxes
+    split: Literal["heads", "off"] = "heads"  # groups of pedestrians are split at their heads
+    merge: Literal["fragments", "off"] = "fragments"  # pieces of one vehicle are merged
 
 
 class BackgroundConfig(Section, frozen=True, kw_only=True):
@@ -120,20 +116,11 @@ class ClassifierConfig(Section, frozen=True, kw_only=True):
     min_confidence: Share = 0.45  # below this an object is called "unknown": an obstacle, but nobody knows which
 
 
-ARTICLE_GROUND = GroundConfig(
-    method="flat", range_max_m=80.0, height_min_m=-1.0, height_max_m=3.0, ring_m=5.0, below_m=0.10, keep_below=True
-)  # fmt: skip
-ARTICLE_CLUSTERING = ClusteringConfig(
-    cell_m=0.15, cell_growth_m=0.0, min_cell_points=2, min_points=20, max_points=15_000, shape_points=0,
-    min_top_m=-100.0, max_diagonal_m=15.0, body_height_m=0.0, trim_ground=True, split="gap", merge="engulfed",
-)  # fmt: skip
-
-
 class InfraLidarConfig(ServiceConfig, frozen=True, kw_only=True):
     """The whole service."""
 
     host: Annotated[str, Meta(pattern=r"^[a-z0-9_]+$")] = "infra0"
-    source: str = "sim:crossing"
+    source: str = ""
     frame_id: str = "map"
     T_map_sensor: tuple[float, ...] = ()  # 16 numbers, row by row; empty: map = road plane at the pole's foot
     points_limit: Annotated[int, Meta(ge=100, le=1_000_000)] = 20_000  # published cloud, after thinning

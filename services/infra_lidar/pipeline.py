@@ -6,20 +6,19 @@ import numpy as np
 
 from common.geometry import invert
 from common.stopwatch import Stopwatch
-from services.infra_lidar.background import BackgroundModel
-from services.infra_lidar.blindness import BlindnessWatch, FrameQuality
-from services.infra_lidar.buffers import Buffers
-from services.infra_lidar.calibration import Calibration
-from services.infra_lidar.calibration_keeper import CalibrationKeeper
-from services.infra_lidar.classes import BACKGROUND
-from services.infra_lidar.classifier import Classifier
-from services.infra_lidar.clustering import Clustering, ClusterPoints
+from services.infra_lidar.calibration.monitor import CalibrationMonitor
+from services.infra_lidar.calibration.plane_fit import Calibration
+from services.infra_lidar.classification.classes import BACKGROUND
+from services.infra_lidar.classification.classifier import Classifier
+from services.infra_lidar.clustering.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.range_image import RangeImage, Returns
+from services.infra_lidar.input.range_image import RangeImage, Returns
 from services.infra_lidar.result import ClusterSet, FrameResult
-from services.infra_lidar.scene import Parted, Scene
-from services.infra_lidar.tracking import MultiObjectTracker, records_of
-from services.infra_lidar.tracking_filter import DETECTION
+from services.infra_lidar.segmentation.background import BackgroundModel
+from services.infra_lidar.segmentation.scene import Scene, Segmentation
+from services.infra_lidar.sensor_health import FrameQuality, VisibilityMonitor
+from services.infra_lidar.tracking import MultiObjectTracker
+from services.infra_lidar.tracking.detections import detection_records
 
 _IDENTITY = np.eye(4)
 
@@ -37,13 +36,12 @@ class InfraLidarPipeline:
         background: BackgroundModel | None = None,
     ) -> None:
         self.config = config
-        self._buffers = buffers = Buffers()
-        self.calibration = CalibrationKeeper(config.calibration, calibration)
-        self.scene = Scene(config, self.calibration, buffers, background)
-        self.clustering = Clustering(config.clustering, config.ground.range_max_m, buffers)
+        self.calibration = CalibrationMonitor(config.calibration, calibration)
+        self.scene = Scene(config, self.calibration, background)
+        self.clustering = Clustering(config.clustering, config.ground.range_max_m)
         self.classifier = Classifier(config.classifier)
         self.tracker = MultiObjectTracker(config.tracking)
-        self.blindness = BlindnessWatch(config.blindness)
+        self.visibility = VisibilityMonitor(config.blindness)
 
     def recalibrate(self) -> None:
         """Forget calibration and background and begin again with the next frame."""
@@ -65,63 +63,62 @@ class InfraLidarPipeline:
         returns = _checked(returns)
         watch = Stopwatch()
 
-        # 1. Where is the road? From the first frames; afterwards only looked after.
+        # 1. Calibrate: where is the road? From the first frames; afterwards it is only monitored.
         calibration = self.calibration.update(returns)
         watch.lap("calibrate")
 
-        # 2. Leave out what was always there, level the rest and take the road away. From here on in the level frame.
-        parted = self.scene.part(stamp_ns, returns, calibration, quality is None or quality.complete)
+        # 2. Segment: subtract the learned background, level the rest, remove the ground. From here in the level frame.
+        complete = quality is None or quality.complete
+        segmentation = self.scene.segment(stamp_ns, returns, calibration, complete)
         watch.lap("ground")
 
-        # 3. Connected components of what is left, seen from above.
-        found = self.clustering.cluster(parted.frame)
+        # 3. Cluster: connected components of the obstacles, seen from above.
+        found = self.clustering.cluster(segmentation.obstacles)
         watch.lap("cluster")
 
-        # 4. What is it? Features and forest.
-        clusters = self._classify(parted, found)
+        # 4. Classify: features and forest.
+        clusters = self._classify(segmentation, found)
         watch.lap("classify")
 
-        # 5. Who is it, and where does it go? In the map frame.
+        # 5. Track, in the map frame. Background clusters too: they keep tracks alive that the forest gave up briefly.
         T_map_level = self._map_from_level(calibration)
-        self.tracker.step(stamp_ns, self._seen(clusters, found, T_map_level))
-        tracks = self.tracker.told()
+        self.tracker.step(stamp_ns, self._detections(clusters, found, T_map_level))
+        tracks = self.tracker.snapshot()
         watch.lap("track")
 
-        # 6. Learn the fixed scene, as long as it is not known. Then: can the sensor see at all?
-        if self.config.background.enabled and not parted.sifted:  # a sifted frame teaches nothing
-            known = self.scene.learn(stamp_ns, returns, parted, _road_users(clusters, len(returns)))
-            if known is not None:
-                self.tracker.forget(_vanished(known, clusters))  # every other track keeps its id
+        # 6. Learn the background, as long as there is none.
+        if self.config.background.enabled and not segmentation.background_subtracted:
+            learned = self.scene.learn(stamp_ns, returns, segmentation, _road_users(clusters, len(returns)))
+            if learned is not None:
+                self.tracker.forget(_vanished(learned, clusters))  # every other track keeps its id
         watch.lap("learn")
+
+        # 7. Can the sensor see at all?
         total_ms = sum(watch.stage_ms.values())
-        state, reason = self.blindness.judge(parted.seen, quality, total_ms, self.calibration.complaint)
+        state, reason = self.visibility.update(segmentation.statistics, quality, total_ms, self.calibration.fault)
 
         return FrameResult(
             stamp_ns=stamp_ns, received_ns=received_ns, frame_id=self.config.frame_id, state=state, reason=reason,
-            returns=returns, parted=parted, clusters=clusters, table=tracks,
+            returns=returns, segmentation=segmentation, clusters=clusters, table=tracks,
             calibration=calibration, T_map_level=T_map_level, stage_ms=watch.stage_ms,
         )  # fmt: skip
 
-    def _classify(self, parted: Parted, found: ClusterPoints) -> ClusterSet:
+    def _classify(self, segmentation: Segmentation, found: ClusterPoints) -> ClusterSet:
         road_z_m = self.scene.ground.road_below(found.box)
-        features, index, confidence, probabilities = self.classifier.recognise(
-            found.planar, found.offsets, road_z_m, self._buffers, found.counts
-        )
-        self.scene.mark_structure(parted, found, road_z_m, index)
+        features, index, confidence, probabilities = self.classifier.extract_and_classify(found, road_z_m)
+        self.scene.mark_static(segmentation, found, road_z_m, index)
         return ClusterSet(
             classes=index, confidences=confidence, probabilities=probabilities, box=found.box,
-            features=features, offsets=found.member_offsets, members=found.members, counts=found.counts,
-            ground_z_m=road_z_m,
+            features=features, offsets=found.offsets, members=found.members, ground_z_m=road_z_m,
         )  # fmt: skip
 
-    def _seen(self, clusters: ClusterSet, found: ClusterPoints, T_map_level: np.ndarray) -> np.ndarray:
-        """All clusters for the tracker: background keeps tracks alive that the forest gave up for a moment."""
+    def _detections(self, clusters: ClusterSet, found: ClusterPoints, T_map_level: np.ndarray) -> np.ndarray:
         box = found.box
         if self.config.tracking.boxes == "centroid":
             box = np.hstack((found.means, box[:, 3:]))
-        return records_of(
-            box, clusters.classes, clusters.confidences, clusters.counts, clusters.probabilities, T_map_level,
-            self._buffers.take("seen", len(box), DETECTION),
+        return detection_records(
+            box, clusters.classes, clusters.confidences, clusters.counts, clusters.probabilities,
+            T_map_source=T_map_level,
         )  # fmt: skip
 
     def _map_from_level(self, calibration: Calibration) -> np.ndarray:
@@ -141,14 +138,14 @@ def _checked(returns: Returns) -> Returns:
 
 
 def _road_users(clusters: ClusterSet, n: int) -> np.ndarray:
-    """(N,) float32: how sure it is that a point is of a road user, 0 where its cluster is background or none."""
+    """(N,) float32: confidence that a point is of a road user, 0 where its cluster is background or none."""
     sure, of_point = np.where(clusters.classes == BACKGROUND, 0.0, clusters.confidences), np.zeros(n, np.float32)
     of_point[clusters.members] = np.repeat(sure, clusters.counts)
     return of_point
 
 
-def _vanished(known: np.ndarray, clusters: ClusterSet) -> np.ndarray:
-    """(K,) bool: clusters of which more than a tenth is fixed scene, ``known`` (N,), and not seen any more."""
+def _vanished(learned: np.ndarray, clusters: ClusterSet) -> np.ndarray:
+    """(K,) bool: clusters of which more than a tenth is background from now on, ``learned`` (N,) bool."""
     of_cluster = np.repeat(np.arange(len(clusters)), clusters.counts)
-    seen_no_more = np.bincount(of_cluster, known[clusters.members], minlength=len(clusters))
+    seen_no_more = np.bincount(of_cluster, learned[clusters.members], minlength=len(clusters))
     return np.asarray(seen_no_more > 0.1 * clusters.counts)

@@ -1,4 +1,4 @@
-"""Top view of a recording: ground, clusters by class, boxes, ids and ways of the tracks. PNG, GIF, MP4 with OpenCV."""
+"""Top view of a recording: ground, clusters by class, boxes, ids and trails of tracks. PNG, GIF, MP4 with OpenCV."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
+from common.bus.status import Report
 from common.config import ConfigError
 from common.geometry import transform_points
 from common.messages import ObjectTrack
-from common.status import Report
 from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.input.source import open_source
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.result import FrameResult
-from services.infra_lidar.source import open_source
 
 log = logging.getLogger(__name__)
 
@@ -37,62 +37,62 @@ _TRAIL = 30
 
 
 def plot_source(config: InfraLidarConfig, output: Path, frames: int, reach_m: float) -> int:
-    """Run the pipeline over a source and draw it from above; returns how many frames it had.
+    """Run the pipeline over a source and draw its frames from above; returns the number of frames.
 
-    output: ``.png`` (the last frame), ``.mp4`` or ``.gif`` (all of them), anything else is a folder of PNGs.
+    output: ``.png`` (the last frame), ``.mp4`` or ``.gif`` (all frames), anything else is a folder of PNGs.
 
     Raises:
-        ConfigError: an MP4 is asked for and OpenCV is not installed.
+        ConfigError: output is an MP4 and OpenCV is not installed.
     """
-    pipeline, ways = InfraLidarPipeline(config), Ways()
+    pipeline, trails = InfraLidarPipeline(config), Trails()
     source = islice(open_source(config, Report("plot")), frames)
     results = (pipeline.process(stamp_ns, frame.returns, frame.quality) for stamp_ns, frame in source)
     output.parent.mkdir(parents=True, exist_ok=True)
     if output.suffix == ".png":
-        return _draw_last(results, ways, reach_m, output)
-    pictures = (draw(result, ways.follow(_shown(result)), reach_m) for result in results)
+        return _draw_last(results, trails, reach_m, output)
+    pictures = (draw(result, trails.update(_visible_tracks(result)), reach_m) for result in results)
     return {".mp4": _write_video, ".gif": _write_gif}.get(output.suffix, _write_folder)(pictures, output)
 
 
-def _draw_last(results: Iterator[FrameResult], ways: Ways, reach_m: float, path: Path) -> int:
+def _draw_last(results: Iterator[FrameResult], trails: Trails, reach_m: float, path: Path) -> int:
     count = 0
     for result in results:
-        trails, count = ways.follow(_shown(result)), count + 1
+        lines, count = trails.update(_visible_tracks(result)), count + 1
     if count:
-        imsave(path, draw(result, trails, reach_m))
+        imsave(path, draw(result, lines, reach_m))
     return count
 
 
-def _shown(result: FrameResult) -> list[ObjectTrack]:
+def _visible_tracks(result: FrameResult) -> list[ObjectTrack]:
     return [track for track in result.tracks.tracks if track.state != "tentative"]
 
 
-class Ways:
-    """Where every track has been lately, for the lines behind it."""
+class Trails:
+    """The last positions of every track, for the line behind it."""
 
     def __init__(self) -> None:
-        self._places: dict[int, deque[tuple[float, float]]] = defaultdict(lambda: deque(maxlen=_TRAIL))
+        self._positions: dict[int, deque[tuple[float, float]]] = defaultdict(lambda: deque(maxlen=_TRAIL))
 
-    def follow(self, tracks: list[ObjectTrack]) -> list[np.ndarray]:
-        """Add this frame's places; (n, 2) metres per track, oldest first."""
-        for gone in self._places.keys() - {track.track_id for track in tracks}:
-            del self._places[gone]
+    def update(self, tracks: list[ObjectTrack]) -> list[np.ndarray]:
+        """Add the positions of this frame; returns (n, 2) x, y per track, oldest first (m, map frame)."""
+        for ended in self._positions.keys() - {track.track_id for track in tracks}:
+            del self._positions[ended]
         for track in tracks:
-            self._places[track.track_id].append(track.position_m[:2])
-        return [np.array(self._places[track.track_id]) for track in tracks]
+            self._positions[track.track_id].append(track.position_m[:2])
+        return [np.array(self._positions[track.track_id]) for track in tracks]
 
 
 def draw(result: FrameResult, trails: list[np.ndarray], reach_m: float) -> np.ndarray:
     """(H, W, 3) uint8 RGB picture of one frame in the map frame, x up, y to the left, the sensor in the middle.
 
-    trails: (n, 2) metres per track that is not tentative, where it has been.
+    trails: of each track that is not tentative, (n, 2) x, y of its last positions (m, map frame).
     """
     figure = Figure(figsize=(_SIZE_PX / 100, _SIZE_PX / 100), dpi=100, facecolor="#16181c", layout="constrained")
     axes = figure.add_subplot(facecolor="#16181c")
     _draw_points(axes, result)
-    tracks = _shown(result)
+    tracks = _visible_tracks(result)
     axes.add_collection(
-        LineCollection(on_page(trails), colors=[COLOURS[t.label] for t in tracks], linewidths=1.0, alpha=0.7)
+        LineCollection(to_axes(trails), colors=[COLOURS[t.label] for t in tracks], linewidths=1.0, alpha=0.7)
     )
     for track in tracks:
         _draw_track(axes, track)
@@ -110,8 +110,8 @@ def draw(result: FrameResult, trails: list[np.ndarray], reach_m: float) -> np.nd
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def on_page(trails: list[np.ndarray]) -> list[np.ndarray]:
-    """(n, 2) map x, y to the picture's axes: across is y, up is x."""
+def to_axes(trails: list[np.ndarray]) -> list[np.ndarray]:
+    """(n, 2) x, y in the map frame to coordinates of the axes: y is horizontal, x vertical."""
     return [trail[:, ::-1] for trail in trails]
 
 

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import msgspec
 
+from common.bus.status import Report
 from common.messages import ObjectTracks
-from common.status import Report
+from services.infra_lidar.calibration.store import Store
 from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.input.source import open_source, surveyed_pose
 from services.infra_lidar.pipeline import InfraLidarPipeline
-from services.infra_lidar.source import open_source, surveyed_pose
-from services.infra_lidar.store import Store
 
 
 def reprocess(config: InfraLidarConfig, report: Report) -> Iterator[ObjectTracks]:

@@ -1,4 +1,4 @@
-"""What one frame gives: arrays for notebooks and tests, and the messages made from them."""
+"""The result of one frame: arrays, and the messages made from them."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 
 from common.geometry import transform_points
 from common.messages import Cluster, Clusters, ObjectTracks, PointCloud
-from services.infra_lidar.calibration import Calibration
-from services.infra_lidar.classes import BACKGROUND as BACKGROUND_CLASS
-from services.infra_lidar.classes import LABELS
-from services.infra_lidar.clustering import of_points
-from services.infra_lidar.range_image import Returns, count_of, points_of
-from services.infra_lidar.scene import Parted
-from services.infra_lidar.tracking_life import TrackTable
+from services.infra_lidar.calibration.plane_fit import Calibration
+from services.infra_lidar.classification.classes import BACKGROUND as BACKGROUND_CLASS
+from services.infra_lidar.classification.classes import LABELS
+from services.infra_lidar.clustering.clustering import of_points
+from services.infra_lidar.input.range_image import Returns, count_of, points_of
+from services.infra_lidar.segmentation.scene import Segmentation
+from services.infra_lidar.tracking.track_table import TrackTable
 
 OTHER, GROUND, CLUSTERED, BACKGROUND = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
 
@@ -26,9 +26,10 @@ class ClusterSet:
     """K clusters in the level frame.
 
     classes: (K,) int, index into ``LABELS``. confidences: (K,) of that class, probabilities: (K, C). box: (K, 8)
-    float32: centre x, y, z, length, width, height (m), yaw (rad) and the gap to the road (m). features: (K, F) float32.
-    offsets: (K + 1,) and members (M,): the points of cluster k are ``members[offsets[k]:offsets[k + 1]]`` of the
-    frame's, counts (K,) in number. ground_z_m: (K,) height of the local road.
+    float32: centre x, y, z, length, width, height (m), yaw (rad) and gap to the road (m). features: (K, F) float32.
+    members (M,): index in the frame of the clustered points, grouped by cluster; cluster k is
+    ``members[offsets[k]:offsets[k + 1]]`` with offsets (K + 1,). ground_z_m: (K,) height of
+    the local road.
     """
 
     classes: np.ndarray
@@ -38,15 +39,19 @@ class ClusterSet:
     features: np.ndarray
     offsets: np.ndarray
     members: np.ndarray
-    counts: np.ndarray
     ground_z_m: np.ndarray
 
     def __len__(self) -> int:
         return len(self.classes)
 
     @property
+    def counts(self) -> np.ndarray:
+        """(K,) number of points."""
+        return np.diff(self.offsets)
+
+    @property
     def boxes(self) -> np.ndarray:
-        """(K, 7): without the gap."""
+        """(K, 7): ``box`` without the gap."""
         return self.box[:, :7]
 
     @property
@@ -57,10 +62,10 @@ class ClusterSet:
 
 @dataclass(frozen=True)
 class FrameResult:
-    """Everything known about one frame of N returns, or places of a range image.
+    """Everything known about one frame of N returns, or N cells of a range image.
 
-    parted: which of them are ground or fixed scene. table: all tracks, in the map frame.
-    T_level_sensor, T_map_level: (4, 4) float64. What not everybody asks for is made when somebody does.
+    segmentation: which of them are ground or background. table: all tracks, in the map frame. T_level_sensor,
+    T_map_level: (4, 4) float64. Properties are computed when they are first read.
     """
 
     stamp_ns: int
@@ -69,7 +74,7 @@ class FrameResult:
     state: Literal["online", "degraded"]
     reason: str
     returns: Returns
-    parted: Parted
+    segmentation: Segmentation
     clusters: ClusterSet
     table: TrackTable
     calibration: Calibration
@@ -84,12 +89,12 @@ class FrameResult:
     @property
     def ground(self) -> np.ndarray:
         """(N,) bool."""
-        return self.parted.ground
+        return self.segmentation.ground
 
     @property
     def background(self) -> np.ndarray:
-        """(N,) bool, returns of the learned fixed scene."""
-        return self.parted.background
+        """(N,) bool: returns from the learned fixed scene."""
+        return self.segmentation.background
 
     @cached_property
     def cluster_id(self) -> np.ndarray:
@@ -107,12 +112,12 @@ class FrameResult:
 
     @property
     def points_in(self) -> int:
-        """How many returns the sensor has sent."""
+        """Number of returns from the sensor."""
         return count_of(self.returns)
 
     @property
     def T_level_sensor(self) -> np.ndarray:
-        """(4, 4) the calibration in use."""
+        """(4, 4) sensor frame to level frame, the calibration in use."""
         return self.calibration.T_level_sensor
 
     @property
@@ -121,7 +126,7 @@ class FrameResult:
         return np.asarray(self.T_map_level @ self.T_level_sensor)
 
     def clusters_message(self) -> Clusters:
-        """All clusters, background too, in the map frame."""
+        """All clusters, background included, in the map frame."""
         clusters = self.clusters
         centres = transform_points(self.T_map_level, clusters.boxes[:, :3])
         turn = float(np.arctan2(self.T_map_level[1, 0], self.T_map_level[0, 0]))
@@ -146,7 +151,7 @@ class FrameResult:
         )
 
     def points_message(self, limit: int) -> PointCloud:
-        """Every n-th return in the map frame, so that at most ``limit`` remain."""
+        """Every n-th return in the map frame, at most ``limit`` of them."""
         (thin,) = np.nonzero(self.points[:, :3].any(axis=1))
         thin = thin[:: max(1, -(-len(thin) // limit))]
         kind = np.where(self.background[thin], BACKGROUND, OTHER)

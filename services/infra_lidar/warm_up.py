@@ -1,95 +1,105 @@
-"""Compile or load every kernel before the first real frame, and say so. Compiled kernels are kept on disk."""
+"""Compile or load every kernel before the first real frame, with one made-up scene.
+
+    python -m services.infra_lidar.warm_up      # ahead of the first start, also for the simulated sensor
+
+Compiled kernels are kept on disk, see ``jit.py``.
+"""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from msgspec.structs import replace
-from numba.core import event
-from numba.core.registry import cpu_target
 
 from common.stopwatch import Stopwatch
-from services.infra_lidar.compile_together import collecting_seldom, compile_together
-from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.kernels_returns import beams_seen
+from services.infra_lidar.config import CalibrationConfig, InfraLidarConfig
+from services.infra_lidar.input import robosense, velodyne
+from services.infra_lidar.input.hesai import silent_packet
+from services.infra_lidar.input.models import KINDS, decoder_of
+from services.infra_lidar.input.range_image import RangeImage
+from services.infra_lidar.input.revolution import decode_revolution, stack_packets
+from services.infra_lidar.jit import CACHE, COMPLETE, KEPT
 from services.infra_lidar.pipeline import InfraLidarPipeline
-from services.infra_lidar.shipped import lay_out_own
-from services.infra_lidar.warm_up_parts import (
-    FRAME_NS,
-    LATER,
-    STEPS,
-    compile_packets,
-    endless,
-    follow_people,
-    know_people,
-    made_up_frame,
-)
+from services.infra_lidar.tracking.tracker import Detections, MultiObjectTracker
 
 log = logging.getLogger(__name__)
 
-# Numba imports the larger part of itself with the first kernel: here, that is with all other imports.
-cpu_target.target_context.refresh()
+DONE = CACHE / COMPLETE
+FRAMES = (*range(9), 60)  # at 0.1 s each: learning, its end, beyond, and the next check of the calibration
+PERIOD_NS = 100_000_000
+SILENT_PACKETS = {
+    "velodyne": bytes(velodyne.PACKET_BYTES),
+    "hesai": silent_packet(),
+    "robosense": bytes(robosense.PACKET_BYTES),
+}
+HEIGHT_M = 4.0  # of the made-up sensor above its road
+BOXES = ((8, 3, 4.2, 1.8, 1.5), (-6, 5, 0.5, 0.5, 1.7), (4, -9, 10, 2.5, 3.0))  # x, y, length, width, height (m)
 
 
-def warm_up(config: InfraLidarConfig, tell: Callable[[str], None], learned: bool = True) -> float:
-    """Run a small made-up frame through a pipeline of its own; returns the milliseconds it took.
+def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
+    """Run a made-up scene through a pipeline that soon has learned it; returns the milliseconds it took.
 
-    Without a ``learned`` scene what it needs may be compiled later, while the service learns one.
+    ``tell`` is called with a line of progress for people.
     """
-
-    def say(text: str) -> None:
-        log.info(text)
-        tell(text)
-
-    watch = Stopwatch()
-    background = replace(config.background, learn_s=0.1, min_frames=5, azimuth_cells=90)
-    calibration = replace(config.calibration, frames=1, hypotheses=16)
-    small = replace(config, calibration=calibration, background=background, T_map_sensor=())
-    lay_out_own()
-    with collecting_seldom():
-        if _compiled_before():
-            say("loading kernels")
-        else:
-            say("compiling kernels: on the first start on this machine, up to half a minute")
-            compile_together(small, () if learned else LATER)
-            small = small if learned else endless(small)
-        with event.install_listener("numba:compile", _Compiling(say)):
-            run_whole(small)
+    first = "compiling kernels: on the first start on this machine, up to 40 s"
+    tell("loading kernels" if DONE.exists() else first)
+    watch, image = Stopwatch(), made_up_revolution()
+    calibration = CalibrationConfig(frames=1, hypotheses=16)  # the made-up sensor stands level, the real one may not
+    background = replace(config.background, learn_s=0.1, min_frames=5)
+    config = replace(config, calibration=calibration, background=background, T_map_sensor=())
+    for returns in (image.points, image):
+        pipeline = InfraLidarPipeline(config)
+        for k in FRAMES:
+            pipeline.process((10 + k) * PERIOD_NS, returns)
+    track_two_people(MultiObjectTracker(config.tracking))
+    for kind, packet in SILENT_PACKETS.items():
+        decode_revolution(stack_packets([packet]), decoder_of(kind, KINDS[kind].to_count))
+    if KEPT:
+        with suppress(OSError):  # the disk has become full: the next start compiles what is missing
+            DONE.touch()
     watch.lap("warm-up")
     log.info("kernels ready after %.1f s", watch.stage_ms["warm-up"] / 1e3)
     return watch.stage_ms["warm-up"]
 
 
-def run_whole(config: InfraLidarConfig) -> None:
-    """A made-up scene through a whole pipeline, and what comes seldom."""
-    frame, pipeline = made_up_frame(), InfraLidarPipeline(config)
-    for k in STEPS:
-        pipeline.process((10 + k) * FRAME_NS, frame)
-    follow_people(pipeline.tracker)
-    know_people(pipeline.classifier)
-    compile_packets(config)
+def made_up_revolution() -> RangeImage:
+    """A flat road with three boxes on it, seen by 64 beams in 720 directions (ray casting by Kay and Kajiya 1986)."""
+    heading, elevation = (np.arange(720) + 0.5) * np.radians(0.5), np.radians(np.linspace(-50.0, -4.0, 64))
+    flat, up, none = np.cos(elevation), np.sin(elevation), np.zeros(64)
+    ray = np.stack(np.broadcast_arrays(np.outer(np.cos(heading), flat), np.outer(np.sin(heading), flat), up), axis=-1)
+    range_m = -HEIGHT_M / ray[..., 2]
+    for x, y, length, width, height in BOXES:
+        low = np.array([x - length / 2, y - width / 2, -HEIGHT_M])
+        enter, leave = np.sort([low / ray, (low + np.array([length, width, height])) / ray], axis=0)
+        enter_m, leave_m = enter.max(axis=-1), leave.min(axis=-1)
+        range_m = np.where((enter_m > 0.0) & (enter_m < leave_m), np.minimum(range_m, enter_m), range_m)
+    range_m += np.random.default_rng(7).normal(0.0, 0.01, range_m.shape)
+    cos, sin = np.cos(heading).astype(np.float32), np.sin(heading).astype(np.float32)
+    beams = np.stack([flat, none, up, none, none, none, np.arange(64)]).astype(np.float32)
+    intensity, bank = np.full(range_m.shape, 50, np.uint8), np.zeros(720, np.uint8)
+    return RangeImage(range_m.astype(np.float32), intensity, cos, sin, bank, beams)
 
 
-def _compiled_before() -> bool:
-    """Whether the smallest kernel comes from the disk."""
-    missed = sum(beams_seen.stats.cache_misses.values())  # type: ignore[attr-defined]
-    beams_seen(np.zeros((1, 2), np.float32)[:, 0], np.zeros(256, bool))
-    return bool(sum(beams_seen.stats.cache_misses.values()) == missed)  # type: ignore[attr-defined]
+def track_two_people(tracker: MultiObjectTracker) -> None:
+    """Two people side by side, then so close that they are one cluster, which the tracker divides."""
+    for k, (y_m, width_m) in enumerate([([0.0, 0.8], 0.5)] * 12 + [([0.4], 1.3)]):
+        n = len(y_m)
+        centre_m, size_m = np.array([[9.0, y, 0.9] for y in y_m]), np.tile([width_m, 0.5, 1.7], (n, 1))
+        people = Detections(centre_m, size_m, np.full(n, 1.57), ["pedestrian"] * n, np.full(n, 0.9), np.full(n, 50))
+        tracker.update((10 + k) * PERIOD_NS, people)
 
 
-class _Compiling(event.Listener):
-    """Says once that kernels are compiled after all: an update has changed what some of them are made from."""
+def main() -> None:
+    """Compile all kernels for this processor, and those of the simulated sensor."""
+    from spotter_sim import lidar128
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell: Callable[[str], None] | None = tell
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    warm_up(InfraLidarConfig(), log.info)
+    lidar128.scan("crossing", 0.0)
 
-    def on_start(self, event: event.Event) -> None:
-        """A kernel that is not on the disk."""
-        if self._tell is not None:
-            self._tell("compiling the kernels that an update has changed: up to half a minute")
-            self._tell = None
 
-    def on_end(self, event: event.Event) -> None:
-        """It is compiled."""
+if __name__ == "__main__":
+    main()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from common.geometry import rotation_between, rotation_rpy, transform
-from common.sim import lidar128, roadside, world
+from spotter_sim import lidar128, roadside, world
 
 RECORDINGS = Path(os.environ.get("SPOTTER_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 

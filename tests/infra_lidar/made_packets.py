@@ -15,8 +15,8 @@ def vls_packet(azimuth_deg, steps=2500, time_us=0, mode=0x37, product=0xA1, flag
     return blocks + struct.pack("<IBB", time_us, mode, product)
 
 
-def turns_of(parser, first_deg=0.0, **how):
-    """Feed a whole turn; the revolutions that came out."""
+def revolutions_of(parser, first_deg=0.0, **how):
+    """Feed a whole revolution; the revolutions that came out."""
     done = [parser.feed(vls_packet((first_deg + 0.6 * k) % 360, time_us=166 * k, **how), k) for k in range(610)]
     return [revolution for revolution in done if revolution is not None]
 
@@ -43,8 +43,10 @@ def ouster_packet(layout, frame_id, first_column, range_mm=8000, valid=1):
         else:
             body += struct.pack("<QHH", 0, column, valid)
         step = range_mm // p.range_step_mm
-        pixel = struct.pack("<H" if p.range_type == "<u2" else "<I", step).ljust(p.reflectivity_at, b"\0") + b"\x32"
-        body += pixel.ljust(p.pixel, b"\0") * layout.beams
+        pixel = bytearray(p.pixel)
+        pixel[: 2 if p.range_type == "<u2" else 3] = step.to_bytes(2 if p.range_type == "<u2" else 3, "little")
+        pixel[p.reflectivity_at] = 0x32
+        body += bytes(pixel) * layout.beams
         if layout.profile_name == "LEGACY":
             body += struct.pack("<I", 0xFFFFFFFF if valid else 0)
     return head + body + bytes(p.packet_footer)

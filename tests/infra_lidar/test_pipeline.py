@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from common.codec import encode
-from common.sim import lidar128
-from services.infra_lidar.classes import BACKGROUND, CLASSES, UNKNOWN
+from services.infra_lidar.calibration.store import Store
+from services.infra_lidar.classification.classes import BACKGROUND, CLASSES, UNKNOWN
 from services.infra_lidar.config import BackgroundConfig, ClusteringConfig, GroundConfig, InfraLidarConfig
+from services.infra_lidar.input.source import surveyed_pose
 from services.infra_lidar.pipeline import InfraLidarPipeline
-from services.infra_lidar.source import surveyed_pose
-from services.infra_lidar.store import Store
-from services.infra_lidar.warm_up_parts import made_up_frame
+from services.infra_lidar.warm_up import made_up_revolution
+from spotter_sim import lidar128
 
 START_NS = 1_700_000_000_000_000_000
 LEARN_FAST = BackgroundConfig(learn_s=0.5, min_frames=6)
@@ -48,15 +48,6 @@ def test_results_of_earlier_frames_stay_as_they_were(scene_frame):
     pipeline.process(_stamp(1), scene_frame("open", 5).points)
     assert np.array_equal(first.ground, ground)
     assert np.array_equal(first.cluster_id, ids)
-
-
-def test_a_cluster_told_by_some_of_its_points_counts_all_of_them(scene_frame):
-    config = InfraLidarConfig(clustering=ClusteringConfig(shape_points=50))
-    pipeline = InfraLidarPipeline(config)
-    clusters = pipeline.process(1, scene_frame("open", 1).points).clusters
-    counted = clusters.features[:, pipeline.classifier.feature_names.index("num_points")]
-    assert np.array_equal(counted, clusters.counts)
-    assert clusters.counts.max() > 500
 
 
 def test_the_same_frames_give_the_same_result(scene_frame):
@@ -103,11 +94,10 @@ def test_messages_are_readable_by_anybody(scene_frame):
 
 
 def test_tracks_are_in_the_surveyed_map_frame():
-    config = InfraLidarConfig()
-    pose = surveyed_pose(config)
+    pose = surveyed_pose(InfraLidarConfig(source="sim:crossing"))
     pipeline = InfraLidarPipeline(InfraLidarConfig(T_map_sensor=pose))
     errors = []
-    from common.sim import world
+    from spotter_sim import world
 
     for k in range(12):
         t_s = 4.0 + 0.1 * k
@@ -139,31 +129,32 @@ def test_objects_are_found_as_before_once_the_scene_is_learned(scene_frame):
     assert (result.ground == truly_ground)[np.abs(level_z) < 2].mean() > 0.94
 
 
-def _structure_learned(monkeypatch, label, confidence):
-    """Bird's-eye cells of fixed structure, when every cluster was called the same all along."""
-    pipeline, frame = InfraLidarPipeline(InfraLidarConfig(background=LEARN_FAST)), made_up_frame()
-    recognise = pipeline.classifier.recognise
+def _static_cells_learned(monkeypatch, label, confidence):
+    """Bird's-eye cells of the static map, when every cluster was called the same all along."""
+    pipeline, frame = InfraLidarPipeline(InfraLidarConfig(background=LEARN_FAST)), made_up_revolution().points
+    extract = pipeline.classifier.extract_and_classify
 
     def called(*clusters):
-        features, labels, _, probabilities = recognise(*clusters)
+        features, labels, _, probabilities = extract(*clusters)
         return features, np.full_like(labels, label), np.full(len(labels), confidence, np.float32), probabilities
 
-    monkeypatch.setattr(pipeline.classifier, "recognise", called)
+    monkeypatch.setattr(pipeline.classifier, "extract_and_classify", called)
     found = [len(pipeline.process(_stamp(k), frame).clusters) for k in range(14)]
     assert found[0] > 0
-    return int(np.bitwise_count(pipeline.scene.background.model.structure).sum())
+    return int(pipeline.scene.background.model.static_map.sum())
 
 
-def test_who_may_be_a_road_user_as_learning_ends_is_not_drawn_as_structure(monkeypatch):
-    fixed = _structure_learned(monkeypatch, BACKGROUND, 0.9)
+def test_who_may_be_a_road_user_as_learning_ends_is_not_drawn_as_static(monkeypatch):
+    fixed = _static_cells_learned(monkeypatch, BACKGROUND, 0.9)
     assert fixed > 0
-    assert _structure_learned(monkeypatch, CLASSES.index("car"), 0.5) < fixed
-    assert _structure_learned(monkeypatch, CLASSES.index("car"), 0.5) == _structure_learned(monkeypatch, UNKNOWN, 0.3)
+    unsure = _static_cells_learned(monkeypatch, CLASSES.index("car"), 0.5)
+    assert unsure < fixed
+    assert unsure == _static_cells_learned(monkeypatch, UNKNOWN, 0.3)
 
 
 def test_recalibration_begins_anew():
     pipeline = InfraLidarPipeline(InfraLidarConfig(background=LEARN_FAST))
-    frame = made_up_frame()
+    frame = made_up_revolution().points
     for k in range(14):
         pipeline.process(_stamp(k), frame)
     assert pipeline.calibration.settled
@@ -175,12 +166,12 @@ def test_recalibration_begins_anew():
 
 
 def test_what_was_learned_survives_a_restart(tmp_path):
-    config, frame = InfraLidarConfig(background=LEARN_FAST), made_up_frame()
+    config, frame = InfraLidarConfig(background=LEARN_FAST), made_up_revolution().points
     store = Store(str(tmp_path / "infra0"))
     first = InfraLidarPipeline(config, *store.load())
     for k in range(14):
         first.process(_stamp(k), frame)
-        store.keep(first)
+        store.keep(first.calibration.settled_calibration, first.scene.background.model)
     second = InfraLidarPipeline(config, *Store(str(tmp_path / "infra0")).load())
     result = second.process(_stamp(30), frame)
     assert second.calibration.settled
@@ -194,11 +185,11 @@ def test_what_was_learned_survives_a_restart(tmp_path):
     ids=["ground", "clusters"],
 )
 def test_a_background_learned_with_other_cells_is_learned_anew(tmp_path, other):
-    store, frame = Store(str(tmp_path)), made_up_frame()
+    store, frame = Store(str(tmp_path)), made_up_revolution().points
     first = InfraLidarPipeline(InfraLidarConfig(background=LEARN_FAST), *store.load())
     for k in range(14):
         first.process(_stamp(k), frame)
-        store.keep(first)
+        store.keep(first.calibration.settled_calibration, first.scene.background.model)
     second = InfraLidarPipeline(InfraLidarConfig(background=LEARN_FAST, **other), *Store(str(tmp_path)).load())
     assert not second.process(_stamp(30), frame).background.any()
     for k in range(31, 45):
@@ -216,7 +207,7 @@ def test_a_damaged_store_is_not_used(tmp_path, name, content):
 
 
 def test_partial_revolutions_are_not_taken_for_a_moved_sensor(recording):
-    from services.infra_lidar.blindness import FrameQuality
+    from services.infra_lidar.sensor_health import FrameQuality
 
     with np.load(recording("lidar128-velodyne-vls128") / "scan_0.npz") as file:
         whole = file["xyz"]
@@ -255,7 +246,7 @@ def test_nothing_moves_in_the_standing_recording(recording):
      ("roadside-lidar80", "frame_1659348509.npz")],
 )  # fmt: skip
 def test_every_recording_goes_through(recording, folder, name):
-    from services.infra_lidar.parser import parse_frame
+    from services.infra_lidar.input.point_files import parse_frame
 
     (path,) = recording(folder).glob(name)
     points = parse_frame(path.name, path.read_bytes()).points

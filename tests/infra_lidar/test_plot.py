@@ -1,4 +1,4 @@
-"""The top view: pictures are drawn, the ways behind tracks are remembered and forgotten."""
+"""The top view: pictures are drawn, trails grow and end with their tracks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from common.messages import ObjectTrack
 from services.infra_lidar import plot
 from services.infra_lidar.__main__ import main
 from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.warm_up_parts import made_up_frame
+from services.infra_lidar.warm_up import made_up_revolution
 
 
 def track(track_id: int, x: float) -> ObjectTrack:
@@ -26,25 +26,25 @@ def track(track_id: int, x: float) -> ObjectTrack:
     )  # fmt: skip
 
 
-def test_ways_follow_tracks_and_forget_the_gone() -> None:
-    ways = plot.Ways()
-    ways.follow([track(1, 0.0), track(2, 5.0)])
-    first, second = ways.follow([track(1, 1.0), track(2, 6.0)])
+def test_trails_grow_and_end_with_their_tracks() -> None:
+    trails = plot.Trails()
+    trails.update([track(1, 0.0), track(2, 5.0)])
+    first, second = trails.update([track(1, 1.0), track(2, 6.0)])
     assert first.tolist() == [[0.0, 1.0], [1.0, 1.0]]
     assert second[:, 0].tolist() == [5.0, 6.0]
-    ways.follow([track(2, 7.0)])
-    assert ways.follow([track(1, 9.0)])[0].tolist() == [[9.0, 1.0]]
+    trails.update([track(2, 7.0)])
+    assert trails.update([track(1, 9.0)])[0].tolist() == [[9.0, 1.0]]
 
 
 def test_what_drives_along_x_goes_up_the_page() -> None:
-    (line,) = plot.on_page([np.array([[0.0, 3.0], [5.0, 3.0]])])
+    (line,) = plot.to_axes([np.array([[0.0, 3.0], [5.0, 3.0]])])
     assert line.tolist() == [[3.0, 0.0], [3.0, 5.0]]
 
 
 def recorded(folder: Path, frames: int) -> InfraLidarConfig:
     folder.mkdir()
     for number in range(frames):
-        points = made_up_frame()
+        points = made_up_revolution().points
         np.savez(folder / f"{number:03d}.npz", xyz=points[:, :3], intensity=points[:, 3], stamp=1e9 + 0.1 * number)
     return InfraLidarConfig(source=f"file:{folder}?rate=0")
 

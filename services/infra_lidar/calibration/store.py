@@ -1,0 +1,111 @@
+"""Calibration and background on disk, so that a restart begins where the last run ended."""
+
+from __future__ import annotations
+
+import json
+import logging
+import zipfile
+from dataclasses import asdict, fields
+from pathlib import Path
+
+import numpy as np
+
+from services.infra_lidar.calibration.plane_fit import Calibration
+from services.infra_lidar.segmentation.background import BackgroundModel
+
+log = logging.getLogger(__name__)
+
+
+class Store:
+    """A folder with ``calibration.json`` (readable) and ``background.npz``; with an empty name nothing is kept."""
+
+    def __init__(self, folder: str) -> None:
+        self._folder = Path(folder).expanduser() if folder else None
+        self._saved_calibration: Calibration | None = None
+        self._saved_background: BackgroundModel | None = None
+        self._complaint = ""
+
+    def load(self) -> tuple[Calibration | None, BackgroundModel | None]:
+        """What is there; a damaged file is reported in the log and treated as missing."""
+        if self._folder is None:
+            return None, None
+        self._saved_calibration = self._read("calibration.json", read_calibration)
+        self._saved_background = self._read("background.npz", read_background)
+        return self._saved_calibration, self._saved_background
+
+    def keep(self, calibration: Calibration | None, background: BackgroundModel | None) -> None:
+        """Write what has been settled since the last call; None is not settled yet.
+
+        A disk that takes no more is no reason to stop seeing: it is in the log, and the next start learns anew.
+        """
+        try:
+            self._keep(calibration, background)
+        except OSError as error:
+            complaint = f"{self._folder}: {error.strerror or error}; not kept, the next start learns anew"
+            if self._folder is not None:
+                for part in self._folder.glob("*.tmp*"):
+                    part.unlink(missing_ok=True)
+            if complaint != self._complaint:
+                log.error(complaint)
+            self._complaint = complaint
+
+    def _keep(self, calibration: Calibration | None, background: BackgroundModel | None) -> None:
+        if self._folder is None:
+            return
+        if calibration is not None and calibration is not self._saved_calibration:
+            self._saved_calibration = calibration
+            self._write("calibration.json", calibration_text(calibration).encode())
+        if background is not None and background is not self._saved_background:
+            self._saved_background = background
+            path = self._folder / "background.tmp.npz"
+            np.savez(path, **{f.name: getattr(background, f.name) for f in fields(background)})
+            path.replace(self._folder / "background.npz")
+
+    def _read(self, name: str, read):  # type: ignore[no-untyped-def]
+        assert self._folder is not None
+        path = self._folder / name
+        if not path.exists():
+            return None
+        try:
+            return read(path)
+        except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
+            log.warning("%s is damaged, or of another version, and is made anew: %s", path, error)
+            return None
+
+    def _write(self, name: str, data: bytes) -> None:
+        assert self._folder is not None
+        self._folder.mkdir(parents=True, exist_ok=True)
+        part = self._folder / f"{name}.tmp"
+        part.write_bytes(data)
+        part.replace(self._folder / name)  # never half a file
+
+
+def calibration_text(calibration: Calibration) -> str:
+    """The calibration as JSON for people and for ``read_calibration``."""
+    document = asdict(calibration)
+    document["T_level_sensor"] = calibration.T_level_sensor.tolist()
+    return json.dumps(document, indent=2)
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Raises ``ValueError`` or ``KeyError`` when it is no calibration."""
+    document = json.loads(path.read_text(encoding="utf-8"))
+    T = np.array(document.pop("T_level_sensor"), float)
+    if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6):
+        raise ValueError("T_level_sensor is no rigid transform")
+    if document.get("baseline") is not None:
+        document["baseline"] = tuple(float(value) for value in document["baseline"])
+    return Calibration(T_level_sensor=T, **document)
+
+
+def read_background(path: Path) -> BackgroundModel:
+    """Raises ``ValueError`` or ``KeyError`` when it is no background model."""
+    with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        arrays = {f.name: file[f.name] for f in fields(BackgroundModel)}
+    model = BackgroundModel(**{name: array if array.ndim else array.item() for name, array in arrays.items()})
+    cells = model.columns * model.rows
+    for name, shape, kind in (("intervals_m", (cells, 4), np.float32), ("is_road", (cells,), np.bool_)):
+        found = getattr(model, name)
+        if found.shape != shape or found.dtype != kind:
+            raise ValueError(f"{name}: expected {np.dtype(kind)} {shape}, found {found.dtype} {found.shape}")
+    return model

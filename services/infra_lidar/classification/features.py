@@ -1,0 +1,82 @@
+"""Geometric features of clusters.
+
+The definitions are those of the article's table (bonsai89/lidar-perception-pipeline), with three changes: heights are
+above the local ground instead of absolute, so that a cluster has the same features on a slope and in a centred file;
+their percentiles are counted in 256 bins, exact to a 255th of the cluster's height; and our own set has the fill of the
+hull seen from above and the extent of every height slice instead of the 3-D hull and the neighbour search. The
+article's costly features are in ``training/article_features.py``.
+
+Every feature is finite for every cluster, a single point included: what cannot be computed is 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.infra_lidar.classification.band_kernels import BAND_NAMES
+from services.infra_lidar.classification.feature_kernels import FEATURE_NAMES, cluster_features
+
+ARTICLE_19: tuple[str, ...] = (
+    "xy_spread", "xy_area", "z_range", "height_to_footprint", "density", "z_25", "z_75", "z_std", "num_points",
+    "xy_aspect_ratio", "scattering", "linearity", "planarity",
+    "layer_frac_0", "layer_frac_1", "layer_frac_2", "layer_frac_3", "layer_frac_4", "cross_section_var",
+)  # fmt: skip
+"""The article's set of 19 features, in its order; its smaller sets are the first of these."""
+
+_OWN = (
+    "x_range", "y_range", "z_median", "z_bottom", "z_top", "hull_fill", "range_m", "points_by_range",
+    "slice_length_0", "slice_length_1", "slice_length_2", "slice_length_3", "slice_length_4",
+    "slice_width_0", "slice_width_2", "slice_width_4", "ground_gap_ratio",
+)  # fmt: skip
+FROM_RANGE = ("range_m", "points_by_range", "depth_scatter", "depth_extent")
+_BANDS = tuple(name for name in BAND_NAMES if name not in FROM_RANGE)
+_SHAPE = (*ARTICLE_19, "cross_section_mean", "z_range_cleaned", *(n for n in _OWN if n not in FROM_RANGE), *_BANDS)
+
+FEATURE_SETS: dict[str, tuple[str, ...]] = {
+    **{str(size): ARTICLE_19[:size] for size in (9, 11, 13, 18, 19)},
+    "spotter": (*_SHAPE, *FROM_RANGE),
+    "shape": _SHAPE,
+}
+"""By name. ``spotter`` is the default; ``shape`` is the same without what needs the distance to the sensor, for
+clusters that were centred when they were stored."""
+
+
+def compute_features(
+    points: np.ndarray, offsets: np.ndarray, ground_z_m: np.ndarray, names: tuple[str, ...]
+) -> np.ndarray:
+    """The features ``names`` of K clusters.
+
+    Args:
+        points: (M, 3) float32, metres, in the level frame with the sensor above (0, 0); grouped by cluster.
+        offsets: (K + 1,) integers, cluster k is ``points[offsets[k]:offsets[k + 1]]``.
+        ground_z_m: (K,) height of the local ground under each cluster, metres, in the frame of ``points``.
+        names: which features, in which order (see ``FEATURE_SETS``).
+
+    Returns:
+        (K, F) float32, finite.
+
+    Raises:
+        ValueError: an unknown name, an empty cluster, or shapes that do not belong together.
+    """
+    unknown = sorted(set(names) - set(FEATURE_NAMES))
+    if unknown:
+        raise ValueError(f"unknown feature(s) {unknown}; known: {', '.join(FEATURE_NAMES)}")
+    points = np.ascontiguousarray(points, np.float32)
+    offsets = np.ascontiguousarray(offsets, np.int64)
+    ground = np.ascontiguousarray(ground_z_m, np.float32)
+    _check(points, offsets, ground)
+    table = np.empty((len(ground), len(FEATURE_NAMES)), np.float32)
+    bands = not set(BAND_NAMES).isdisjoint(names)
+    cluster_features(points, offsets, ground, "hull_fill" in names, bands, table)
+    return table[:, [FEATURE_NAMES.index(name) for name in names]]
+
+
+def _check(points: np.ndarray, offsets: np.ndarray, ground: np.ndarray) -> None:
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points: expected shape (M, 3), got {points.shape}")
+    if offsets.ndim != 1 or len(offsets) != len(ground) + 1:
+        raise ValueError(f"offsets: expected {len(ground) + 1} values for {len(ground)} clusters, got {offsets.shape}")
+    if offsets[0] != 0 or offsets[-1] != len(points):
+        raise ValueError(f"offsets: expected 0 .. {len(points)}, got {offsets[0]} .. {offsets[-1]}")
+    if np.any(np.diff(offsets) <= 0):
+        raise ValueError("offsets: every cluster needs at least one point")

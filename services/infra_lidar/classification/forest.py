@@ -1,0 +1,175 @@
+"""A random forest as plain arrays: stored in one ``.npz``, run by one compiled loop, no training library needed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from common.config import ConfigError
+from services.infra_lidar.jit import kernel
+
+_ARRAYS = ("feature", "threshold", "left", "right", "leaf", "value", "root", "calibration_x", "calibration_y")
+_LEAST = 1e-6  # probability of a class that no tree votes for
+
+
+class ModelError(ConfigError):
+    """The model file is not what it says it is; the text says why."""
+
+
+class _Trees(NamedTuple):
+    """The nodes as the compiled loop takes them; ``child`` (N, 2) holds left and right."""
+
+    feature: np.ndarray
+    threshold: np.ndarray
+    child: np.ndarray
+    leaf: np.ndarray
+    value: np.ndarray
+    root: np.ndarray
+
+
+@dataclass(frozen=True)
+class Forest:
+    """N nodes of T trees over F features, L kinds of leaves with shares of C classes, B points of calibration each.
+
+    A leaf is its own left and right child.
+    """
+
+    feature: np.ndarray  # (N,) int32 column of x
+    threshold: np.ndarray  # (N,) float32; goes right if x > threshold
+    left: np.ndarray  # (N,) int32 node
+    right: np.ndarray  # (N,) int32 node
+    leaf: np.ndarray  # (N,) int32 row of `value`; 0 at an inner node
+    value: np.ndarray  # (L, C) float32 class shares; leaves with equal shares have one row
+    root: np.ndarray  # (T,) int32 first node of each tree
+    calibration_x: np.ndarray  # (C, B) float32 forest share, rising
+    calibration_y: np.ndarray  # (C, B) float32 measured frequency
+    classes: tuple[str, ...]
+    features: tuple[str, ...]
+    provenance: dict[str, Any]  # what it was trained on, how, and how well it did
+
+    @cached_property
+    def _trees(self) -> _Trees:
+        child = np.column_stack((self.left, self.right))
+        return _Trees(self.feature, self.threshold, child, self.leaf, self.value, self.root)
+
+    def shares(self, x: np.ndarray) -> np.ndarray:
+        """(K, F) float32 features to (K, C) float32 mean class shares of the trees (uncalibrated).
+
+        A feature that is not a number counts as 0. Raises ``ValueError`` on another number of columns.
+        """
+        if x.ndim != 2 or x.shape[1] != len(self.features):
+            raise ValueError(f"features: expected shape (K, {len(self.features)}), got {x.shape}")
+        rows = np.where(np.isnan(x), np.float32(0.0), x).astype(np.float32, order="C")
+        out = np.zeros((len(rows), self.value.shape[1]), np.float32)
+        _sum_shares(rows, self._trees, out)
+        return out / np.float32(len(self.root))
+
+    def class_probabilities(self, x: np.ndarray) -> np.ndarray:
+        """(K, F) features to (K, C) float32 calibrated probabilities, each row sums to 1."""
+        shares = self.shares(x)
+        for c in range(shares.shape[1]):
+            shares[:, c] = np.interp(shares[:, c], self.calibration_x[c], self.calibration_y[c]) + _LEAST
+        return shares / shares.sum(axis=1, keepdims=True)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over every array, class and feature name."""
+        total = hashlib.sha256(json.dumps([self.classes, self.features]).encode())
+        for name in _ARRAYS:
+            array = getattr(self, name)
+            total.update(f"{name} {array.dtype.str} {array.shape}".encode() + array.tobytes())
+        return total.hexdigest()
+
+    def save(self, path: Path) -> None:
+        """Write what ``load_forest`` reads, with a checksum over all of it."""
+        header = {
+            "classes": self.classes,
+            "features": self.features,
+            "provenance": self.provenance,
+            "sha256": self.digest,
+        }
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        np.savez_compressed(path, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **arrays)
+
+
+@kernel
+def _sum_shares(x: np.ndarray, trees: _Trees, out: np.ndarray) -> None:
+    """Add the class shares of each tree's leaf to out (K, C).
+
+    All rows take a step before any takes the next: their steps do not depend on each other, so the processor overlaps
+    them. Rows that are at a leaf stay there.
+    """
+    node = np.empty(len(x), np.int32)
+    for root in trees.root:
+        node[:] = root
+        moved = True
+        while moved:
+            moved = False
+            for k in range(len(x)):
+                at = node[k]
+                node[k] = trees.child[at, int(x[k, trees.feature[at]] > trees.threshold[at])]
+                moved |= node[k] != at
+        for k in range(len(x)):
+            for c in range(out.shape[1]):
+                out[k, c] += trees.value[trees.leaf[node[k]], c]
+
+
+def load_forest(path: Path) -> Forest:
+    """Read and check a model.
+
+    Raises:
+        ModelError: not a model, an older layout, damaged, or its arrays point outside of themselves.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            header = json.loads(file["header"].tobytes())
+            if "child" in file.files:
+                raise ModelError(f"{path}: a model of an older layout; train it again with `spotter-infra-lidar train`")
+            arrays = {name: file[name] for name in _ARRAYS}
+        forest = Forest(
+            **arrays,
+            classes=tuple(header["classes"]),
+            features=tuple(header["features"]),
+            provenance=header["provenance"],
+        )
+    except FileNotFoundError:
+        raise ModelError(f"{path}: no such model file") from None
+    except ModelError:
+        raise
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise ModelError(f"{path}: not a forest written by `spotter-infra-lidar train`: {error}") from None
+    if forest.digest != header["sha256"]:
+        raise ModelError(f"{path}: damaged, its contents do not match their SHA-256")
+    _check(forest, path)
+    return forest
+
+
+def _check(forest: Forest, path: Path) -> None:
+    nodes, leaves = len(forest.feature), len(forest.value)
+    sound = (
+        all(np.all((array >= 0) & (array < nodes)) for array in (forest.left, forest.right, forest.root))
+        and np.all((forest.feature >= 0) & (forest.feature < len(forest.features)))
+        and np.all((forest.leaf >= 0) & (forest.leaf < leaves))
+        and forest.value.shape[1] == len(forest.classes) == len(forest.calibration_x) == len(forest.calibration_y)
+    )
+    if not sound:
+        raise ModelError(f"{path}: damaged, nodes point outside of the forest")
+    if not _are_trees(forest):
+        raise ModelError(f"{path}: damaged, nodes do not form trees")
+    if not all(np.all(np.diff(curve, axis=1) >= 0) for curve in (forest.calibration_x, forest.calibration_y)):
+        raise ModelError(f"{path}: a calibration curve falls; probabilities rise with the share of trees")
+
+
+def _are_trees(forest: Forest) -> bool:
+    """Whether every walk ends and no two ways lead to one node: children come behind their parents, each once."""
+    own = np.arange(len(forest.left))
+    inner = (forest.left != own) | (forest.right != own)
+    children = np.concatenate((forest.left[inner], forest.right[inner]))
+    behind = np.all(forest.left[inner] > own[inner]) and np.all(forest.right[inner] > own[inner])
+    return bool(behind and len(np.unique(children)) == len(children) and not np.any(np.isin(children, forest.root)))

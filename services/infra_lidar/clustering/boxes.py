@@ -1,0 +1,149 @@
+"""Points grouped by cluster, and the oriented box of each cluster."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from services.infra_lidar.jit import kernel
+
+
+class Groups(NamedTuple):
+    """Clusters while they are split and merged.
+
+    points: (S, 4) float32 rows x, y, z (m, level frame) and height above the local road (m), grouped by cluster.
+    members: (S,) int32, index of the same points in the frame. offsets: (K + 1,) int32, cluster k is
+    offsets[k]:offsets[k + 1]. box: (K, 8) float32: centre x, y, z, length, width, height (m), yaw (rad), gap to the
+    road (m).
+    """
+
+    points: np.ndarray
+    members: np.ndarray
+    offsets: np.ndarray
+    box: np.ndarray
+
+
+@kernel
+def group_by_label(points: np.ndarray, index: np.ndarray, label: np.ndarray, most: int) -> Groups:
+    """Points sorted by label, with the box of each group: a stable counting sort.
+
+    points (M, 4) float32; index, label (M,) int32. Points of label -1 are left out, and labels with more than ``most``
+    points.
+    """
+    count = np.zeros(label.max() + 1 if len(label) else 0, np.int32)
+    for i in range(len(label)):
+        if label[i] >= 0:
+            count[label[i]] += 1
+    place, offsets, groups = np.empty(len(count), np.int32), np.zeros(len(count) + 1, np.int32), 0
+    for k in range(len(count)):
+        place[k] = -1
+        if 0 < count[k] <= most:
+            place[k] = offsets[groups]
+            offsets[groups + 1] = offsets[groups] + count[k]
+            groups += 1
+    total = offsets[groups]
+    grouped, members = np.empty((total, 4), np.float32), np.empty(total, np.int32)
+    for i in range(len(label)):
+        if label[i] >= 0 and place[label[i]] >= 0:
+            to = place[label[i]]
+            place[label[i]] += 1
+            members[to] = index[i]
+            for column in range(4):
+                grouped[to, column] = points[i, column]
+    offsets = offsets[: groups + 1]
+    return Groups(grouped, members, offsets, fit_boxes(grouped, offsets))
+
+
+@kernel
+def fit_boxes(points: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """(K, 8) float32 boxes of groups of points (S, 4) float32, as in ``Groups``.
+
+    The length is along the larger principal axis of the footprint.
+    """
+    box = np.zeros((len(offsets) - 1, 8), np.float32)
+    for k in range(len(box)):
+        fit_box(points[offsets[k] : offsets[k + 1]], box[k])
+    return box
+
+
+@kernel
+def fit_box(points: np.ndarray, box: np.ndarray) -> None:
+    """Write the box (8,) float32 of points (n, 4) float32, n > 0."""
+    x0, y0, n = points[0, 0], points[0, 1], len(points)
+    if n == 1:
+        box[:] = 0.0
+        box[0], box[1], box[2], box[7] = x0, y0, points[0, 2], points[0, 3]
+        return
+    c, s = _principal_axis(points)
+    u_low = u_high = v_low = v_high = np.float32(0.0)
+    z_low = z_high = points[0, 2]
+    gap = points[0, 3]
+    for i in range(n):
+        dx, dy, z = points[i, 0] - x0, points[i, 1] - y0, points[i, 2]
+        u, v = c * dx + s * dy, c * dy - s * dx
+        u_low, u_high, v_low, v_high = min(u_low, u), max(u_high, u), min(v_low, v), max(v_high, v)
+        z_low, z_high, gap = min(z_low, z), max(z_high, z), min(gap, points[i, 3])
+    u, v = (u_low + u_high) * np.float32(0.5), (v_low + v_high) * np.float32(0.5)
+    box[0], box[1], box[2] = x0 + c * u - s * v, y0 + s * u + c * v, (z_low + z_high) * np.float32(0.5)
+    box[3], box[4], box[5] = u_high - u_low, v_high - v_low, z_high - z_low
+    box[6], box[7] = math.atan2(s, c), gap
+
+
+@kernel
+def _principal_axis(points: np.ndarray) -> tuple[np.float32, np.float32]:
+    """Cosine and sine of the direction of the larger principal axis of a footprint."""
+    sx = sy = sxx = sxy = syy = 0.0
+    n = len(points)
+    for i in range(n):
+        dx, dy = np.float64(points[i, 0] - points[0, 0]), np.float64(points[i, 1] - points[0, 1])
+        sx, sy = sx + dx, sy + dy
+        sxx, sxy, syy = sxx + dx * dx, sxy + dx * dy, syy + dy * dy
+    difference = (sxx - syy) / n - (sx * sx - sy * sy) / (n * n)
+    twice = 2.0 * (sxy / n - sx * sy / (n * n))
+    length = math.sqrt(difference * difference + twice * twice)
+    if length == 0.0:
+        return np.float32(1.0), np.float32(0.0)
+    c, s = math.sqrt(max(0.5 + 0.5 * difference / length, 0.0)), math.sqrt(max(0.5 - 0.5 * difference / length, 0.0))
+    return np.float32(c), np.float32(s if twice >= 0.0 else -s)
+
+
+@kernel
+def join_groups(groups: Groups, group: np.ndarray, kept: np.ndarray) -> Groups:
+    """Clusters joined and selected.
+
+    group: (K,) int32, the smallest index of the clusters that each one is joined with. kept: (K,) bool, by the same
+    index, the joined clusters to keep.
+    """
+    points, members, offsets, box = groups
+    total, number = 0, 0
+    for k in range(len(group)):
+        total += offsets[k + 1] - offsets[k] if kept[group[k]] else 0
+        number += group[k] == k and kept[k]
+    following, last = np.full(len(group), -1, np.int32), np.arange(len(group))
+    for k in range(len(group)):
+        if group[k] != k:
+            following[last[group[k]]] = k
+            last[group[k]] = k
+    out = Groups(
+        np.empty((total, 4), np.float32), np.empty(total, np.int32), np.zeros(number + 1, np.int32),
+        np.empty((number, 8), np.float32),
+    )  # fmt: skip
+    at, to = 0, 0
+    for first in range(len(group)):
+        if group[first] != first or not kept[first]:
+            continue
+        k = first
+        while k >= 0:
+            n = offsets[k + 1] - offsets[k]
+            out.points[to : to + n] = points[offsets[k] : offsets[k + 1]]
+            out.members[to : to + n] = members[offsets[k] : offsets[k + 1]]
+            to, k = to + n, following[k]
+        if following[first] >= 0:
+            fit_box(out.points[out.offsets[at] : to], out.box[at])
+        else:
+            out.box[at] = box[first]
+        at += 1
+        out.offsets[at] = to
+    return out

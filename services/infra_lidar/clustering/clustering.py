@@ -1,0 +1,121 @@
+"""Clusters: connected components of occupied bird's-eye-view cells, sized by range, then split and merged.
+
+Cells grow with range because the spacing of returns does: near the sensor 15 cm keep two pedestrians apart, far away
+the same cell would break a car. Cells are filled by points up to the height of a body; what is above joins tall things
+(buses) only, so that a tree's canopy does not tie the cars below it together. Groups of people are split by their heads
+and fragments of vehicles merged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.infra_lidar.clustering.attach_returns import attach_single_returns
+from services.infra_lidar.clustering.boxes import Groups, group_by_label, join_groups
+from services.infra_lidar.clustering.grid import CellGrid
+from services.infra_lidar.clustering.label import CellLabeller, extract_overhang, tall_components
+from services.infra_lidar.clustering.merge_vehicles import footprints, merge_fragments
+from services.infra_lidar.clustering.split_people import split_pedestrian_groups
+from services.infra_lidar.config import ClusteringConfig
+from services.infra_lidar.segmentation.ground import Obstacles
+
+
+@dataclass(frozen=True)
+class ClusterPoints:
+    """Clusters of one frame in the level frame.
+
+    points: (S, 3) float32 rows x, y, z (m), grouped: cluster k is rows offsets[k]:offsets[k + 1]. members: (S,) int32,
+    index of the same points in the frame. offsets: (K + 1,) int32. box: (K, 8) float32: centre x, y, z, length, width,
+    height (m), yaw (rad), gap to the road (m).
+    """
+
+    points: np.ndarray
+    members: np.ndarray
+    offsets: np.ndarray
+    box: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.box)
+
+    @property
+    def counts(self) -> np.ndarray:
+        """(K,) int32 number of points of each cluster."""
+        return np.diff(self.offsets)
+
+    def cluster_id(self, n: int) -> np.ndarray:
+        """(N,) int32: the cluster of each point of a frame of n, -1 = none."""
+        return of_points(self.members, self.offsets, n)
+
+    @property
+    def means(self) -> np.ndarray:
+        """(K, 3) float64, the mean of the points of each cluster."""
+        if not len(self):
+            return np.empty((0, 3))
+        return np.add.reduceat(self.points, self.offsets[:-1], axis=0, dtype=np.float64) / self.counts[:, None]
+
+
+def of_points(members: np.ndarray, offsets: np.ndarray, n: int) -> np.ndarray:
+    """(N,) int32: the cluster of each point of a frame of n, -1 = none; members and offsets of ``ClusterPoints``."""
+    of_point = np.full(n, -1, np.int32)
+    of_point[members] = np.repeat(np.arange(len(offsets) - 1, dtype=np.int32), np.diff(offsets))
+    return of_point
+
+
+class Clustering:
+    """Clusters one sensor's frames. Holds the cell grid: one instance per sensor, one thread at a time."""
+
+    def __init__(self, config: ClusteringConfig, range_max_m: float) -> None:
+        self._config = config
+        self._grid = CellGrid(config, range_max_m)
+        self._cells = CellLabeller(config, self._grid)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the cell grid."""
+        return self._cells.nbytes
+
+    def cluster(self, obstacles: Obstacles) -> ClusterPoints:
+        """Group the points of a frame that are not ground."""
+        config, points = self._config, obstacles.points
+
+        # Connected components of cells; points above body height join tall components or form their own
+        label = self._label(points)
+
+        # Points sorted by component, each with its box
+        groups = group_by_label(points, obstacles.index, label, config.max_points)
+
+        # Groups of pedestrians are split by their heads
+        is_person = np.zeros(len(groups.box), np.bool_)
+        if config.split == "heads":
+            groups, is_person = split_pedestrian_groups(groups, self._grid.scale, config.min_points)
+
+        # Fragments and single returns of one vehicle are merged
+        if config.merge == "fragments":
+            foot, counts = footprints(groups.box), np.diff(groups.offsets)
+            group = merge_fragments(groups.box, foot, counts, is_person)
+            attach_single_returns(foot, counts, config.min_points, group)
+            groups = join_groups(groups, group, np.bincount(group, counts, len(group)) >= config.min_points)
+
+        # What has a possible size is kept
+        groups = join_groups(groups, np.arange(len(groups.box), dtype=np.int32), self._has_possible_size(groups))
+        return ClusterPoints(np.ascontiguousarray(groups.points[:, :3]), groups.members, groups.offsets, groups.box)
+
+    def _label(self, points: np.ndarray) -> np.ndarray:
+        """(M,) int32 component of each point, -1 = none."""
+        body_m = np.float32(self._config.body_height_m or np.inf)
+        above_m = np.ascontiguousarray(points[:, 3])  # one type for the kernels, however few points there are
+        label, components = self._cells.label(points, above_m < body_m)
+        overhang = extract_overhang(above_m, label, tall_components(above_m, label, components, body_m), body_m)
+        if len(overhang):
+            own, _ = self._cells.label(points[overhang], np.ones(len(overhang), np.bool_))
+            label[overhang] = np.where(own >= 0, own + components, -1)
+        return label
+
+    def _has_possible_size(self, groups: Groups) -> np.ndarray:
+        """(K,) bool."""
+        config, count, box = self._config, np.diff(groups.offsets), groups.box
+        possible = (count >= config.min_points) & (count <= config.max_points) & (box[:, 5] <= config.max_height_m)
+        possible &= box[:, 7] + box[:, 5] >= config.min_top_m
+        return np.asarray(possible & (np.hypot(box[:, 3], box[:, 4]) <= config.max_diagonal_m))

@@ -1,0 +1,75 @@
+"""Bird's-eye cells that grow with range: how large they are, and which one a point lies in."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from services.infra_lidar.config import ClusteringConfig
+from services.infra_lidar.jit import kernel
+
+ONE, FOUR = np.float32(1.0), np.float32(4.0)
+THIRD, FIFTH, SEVENTH, NINTH = (np.float32(1.0 / odd) for odd in (3, 5, 7, 9))
+
+
+class CellScale(NamedTuple):
+    """What kernels need of a ``CellGrid``: side int, per_m and growth_per_m float32."""
+
+    side: int
+    per_m: np.float32
+    growth_per_m: np.float32
+
+
+class CellGrid:
+    """side x side cells, centred on the origin.
+
+    Radii are compressed by f(r) = g / c * ln(1 + r / g), so that a cell measures c near the sensor and c (1 + r / g)
+    along the ray at range r. g = 0: plain squares of c.
+
+    cell_m: c. per_m: float32, 1 / c. growth_per_m: float32, 1 / g, or 0. scale: the same for kernels.
+    """
+
+    def __init__(self, config: ClusteringConfig, range_max_m: float) -> None:
+        c, g = config.cell_m, config.cell_growth_m
+        reach = range_max_m / c if g == 0 else g / c * np.log1p(range_max_m / g)
+        self.cell_m, self.side = c, 2 * int(np.ceil(reach)) + 2
+        self.per_m, self.growth_per_m = np.float32(1.0 / c), np.float32(1.0 / g if g > 0 else 0.0)
+        self.scale = CellScale(self.side, self.per_m, self.growth_per_m)
+
+    def cells(self, x_m: np.ndarray, y_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Row and column (N,) of places (N,), those outside in the outermost cells."""
+        u = np.hypot(x_m, y_m) * self.growth_per_m
+        scale = self.per_m * np.divide(np.log1p(u), u, out=np.ones_like(u), where=u > 0)
+        row, column = (np.floor(v * scale).astype(np.int64) + self.side // 2 for v in (y_m, x_m))
+        return np.clip(row, 0, self.side - 1), np.clip(column, 0, self.side - 1)
+
+
+@kernel
+def cell_of(x: float, y: float, grid: CellScale) -> tuple[int, int]:
+    """Row and column of the cell of a place (float32, m); places outside count to the outermost cells.
+
+    The logarithm is taken as the first terms of its series, ln(1 + u) = 4 artanh((t - 1) / (t + 1)) with
+    t the root of 1 + u. Far off a cell differs from f by two thousandths at r = 20 g.
+    """
+    scale = grid.per_m
+    if grid.growth_per_m > 0:
+        t = np.sqrt(np.sqrt(x * x + y * y) * grid.growth_per_m + ONE)
+        inverse = ONE / (t + ONE)
+        w = (t - ONE) * inverse
+        q = w * w
+        series = q * (q * (q * (q * NINTH + SEVENTH) + FIFTH) + THIRD) + ONE
+        scale = scale * FOUR * inverse * inverse * series
+    half, last = grid.side // 2, grid.side - 1
+    row, column = int(np.floor(y * scale)) + half, int(np.floor(x * scale)) + half
+    return min(max(row, 0), last), min(max(column, 0), last)
+
+
+@kernel
+def cells_of(points: np.ndarray, grid: CellScale) -> np.ndarray:
+    """(M,) int32 index of the cell, row * side + column, of points (M, 2 or more) float32 with x and y first."""
+    cell = np.empty(len(points), np.int32)
+    for i in range(len(points)):
+        row, column = cell_of(points[i, 0], points[i, 1], grid)
+        cell[i] = row * grid.side + column
+    return cell

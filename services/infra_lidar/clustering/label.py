@@ -1,0 +1,145 @@
+"""Connected components of occupied bird's-eye-view cells: union-find over the occupied cells.
+
+Every occupied cell is a node and joins its occupied neighbours. The grid is kept between frames, and only cells that
+were used are cleared, so time is linear in the points and independent of the size of the grid.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.infra_lidar.clustering.grid import CellGrid, cells_of
+from services.infra_lidar.config import ClusteringConfig
+from services.infra_lidar.jit import kernel
+
+
+class CellLabeller:
+    """Labels the points of one sensor's frames by connected component. Holds the grid: one thread at a time."""
+
+    def __init__(self, config: ClusteringConfig, grid: CellGrid) -> None:
+        self._grid, self._min_cell_points, self._eight = grid, config.min_cell_points, config.connectivity == 8
+        self._node_of_cell = np.full(grid.side * grid.side, -1, np.int32)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the grid."""
+        return self._node_of_cell.nbytes
+
+    def label(self, points: np.ndarray, fills: np.ndarray) -> tuple[np.ndarray, int]:
+        """Component of each point.
+
+        points: (M, 4) float32, x and y (m) first. fills: (M,) bool, the points that occupy cells; the others only take
+        the label of the cell that they lie in. Returns (M,) int32 labels 0..K-1, -1 = the cell is not occupied; and K.
+        """
+        cell = cells_of(points, self._grid.scale)
+        cells, count = occupy(cell, fills, self._node_of_cell)
+        components, number = join_cells(
+            cells, count >= self._min_cell_points, self._node_of_cell, self._grid.side, self._eight
+        )
+        label = labels_of_points(cell, self._node_of_cell, components)
+        self._node_of_cell[cells] = -1
+        return label, number
+
+
+@kernel
+def occupy(cell: np.ndarray, fills: np.ndarray, node_of_cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cells (C,) int32 with a point that fills, in the order of the points, and how many such points each has (C,).
+
+    node_of_cell is -1 everywhere and receives the place of each of these cells in the list.
+    """
+    cells, count, nodes = np.empty(len(cell), np.int32), np.zeros(len(cell), np.int32), 0
+    for i in range(len(cell)):
+        if not fills[i]:
+            continue
+        node = node_of_cell[cell[i]]
+        if node < 0:
+            node = nodes
+            node_of_cell[cell[i]] = node
+            cells[node] = cell[i]
+            nodes += 1
+        count[node] += 1
+    return cells[:nodes], count[:nodes]
+
+
+@kernel
+def _root(parent: np.ndarray, node: int) -> int:
+    while parent[node] != node:
+        parent[node] = parent[parent[node]]
+        node = parent[node]
+    return node
+
+
+@kernel
+def join_cells(
+    cells: np.ndarray, occupied: np.ndarray, node_of_cell: np.ndarray, side: int, eight: bool
+) -> tuple[np.ndarray, int]:
+    """Component (C,) int32 of each cell, -1 where it is not ``occupied`` (C,) bool; and the number of components.
+
+    eight: cells that touch at a corner are neighbours, too.
+    """
+    parent = np.arange(len(cells)).astype(np.int32)
+    steps = np.array([1, side, side - 1, side + 1])  # right, below, below left, below right
+    for node in range(len(cells)):
+        if not occupied[node]:
+            continue
+        column = cells[node] % side
+        for k in range(4 if eight else 2):
+            beyond_left, beyond_right = k == 2 and column == 0, (k == 0 or k == 3) and column == side - 1
+            place = cells[node] + steps[k]
+            if beyond_left or beyond_right or place >= len(node_of_cell):
+                continue
+            other = node_of_cell[place]
+            if other >= 0 and occupied[other]:
+                a, b = _root(parent, node), _root(parent, other)
+                parent[max(a, b)] = min(a, b)
+    component, number = np.full(len(cells), -1, np.int32), 0
+    for node in range(len(cells)):  # a root is the smallest node of its component, so it comes first
+        if not occupied[node]:
+            continue
+        root = _root(parent, node)
+        if root == node:
+            component[node] = number
+            number += 1
+        else:
+            component[node] = component[root]
+    return component, number
+
+
+@kernel
+def labels_of_points(cell: np.ndarray, node_of_cell: np.ndarray, component: np.ndarray) -> np.ndarray:
+    """(M,) int32: the component of each point's cell, -1 = none."""
+    label = np.empty(len(cell), np.int32)
+    for i in range(len(cell)):
+        node = node_of_cell[cell[i]]
+        label[i] = component[node] if node >= 0 else -1
+    return label
+
+
+BAND_M = np.float32(0.4)  # a component with points in this uppermost part of the body height continues above it
+MIN_SHARE = 0.03  # of its points
+MIN_POINTS = 3
+
+
+@kernel
+def tall_components(above_m: np.ndarray, label: np.ndarray, components: int, body_m: np.float32) -> np.ndarray:
+    """(K,) bool: components whose points reach the top of the body height.
+
+    above_m: (M,) float32, height above the local road. label: (M,) int32, component of each point, -1 = none.
+    """
+    number, in_band = np.zeros(components, np.int32), np.zeros(components, np.int32)
+    for i in range(len(label)):
+        if label[i] >= 0 and above_m[i] < body_m:
+            number[label[i]] += 1
+            in_band[label[i]] += above_m[i] >= body_m - BAND_M
+    return (in_band >= MIN_POINTS) & (in_band >= MIN_SHARE * number)
+
+
+@kernel
+def extract_overhang(above_m: np.ndarray, label: np.ndarray, tall: np.ndarray, body_m: np.float32) -> np.ndarray:
+    """(H,) int32: index of the points above body height that do not belong to a ``tall`` (K,) bool component."""
+    overhang, number = np.empty(len(label), np.int32), 0
+    for i in range(len(label)):
+        if above_m[i] >= body_m and (label[i] < 0 or not tall[label[i]]):
+            overhang[number] = i
+            number += 1
+    return overhang[:number]

@@ -1,0 +1,71 @@
+"""ASPRS LAS and LAZ files to arrays, by the library ``laspy`` (extras ``las`` and ``laz``). Bytes in, arrays out."""
+
+from __future__ import annotations
+
+import io
+import struct
+
+import numpy as np
+
+from services.infra_lidar.input.pcd import MAX_POINTS, FrameError
+
+_COMPRESSED = 0x80  # in the point format's number, LAS 1.4 R15 with LASzip
+_FORMAT_AT, _LEGACY_COUNT_AT, _COUNT_AT, _VERSION_AT = 104, 107, 247, 25
+_RECORDS_AT, _LATE_RECORDS_AT = 100, 243  # how many variable length records, before and (LAS 1.4) behind the points
+_RECORD_BYTES = 54  # of such a record's head
+_HEAD_BYTES = 227
+
+
+def parse_las(data: bytes) -> np.ndarray:
+    """(N, 4..5) float32: x, y, z in the file's own metres, intensity (0..255), and ring if there is such a dimension.
+
+    Raises:
+        FrameError: no LAS, damaged, without points, or an extra is not installed.
+    """
+    if data[:4] != b"LASF" or len(data) < _HEAD_BYTES:
+        raise FrameError("no header of a LAS file")
+    count = _announced(data)
+    if not 0 < count <= MAX_POINTS:
+        raise FrameError(f"{count} points")
+    records = _records(data)
+    if records * _RECORD_BYTES > len(data):  # the library would look for every one of them
+        raise FrameError(f"{records} records are announced, more than the file can hold")
+    laspy = _laspy(compressed=bool(data[_FORMAT_AT] & _COMPRESSED))
+    try:
+        cloud = laspy.read(io.BytesIO(data))
+        columns = [np.asarray(getattr(cloud, axis), float) for axis in "xyz"]
+        intensity = np.asarray(cloud.intensity, float)
+        ring = np.asarray(cloud["ring"], float) if "ring" in cloud.point_format.dimension_names else None
+    except (laspy.errors.LaspyException, ValueError, LookupError, OSError, struct.error, OverflowError) as error:
+        raise FrameError(f"damaged LAS file ({error})") from None
+    except RuntimeError as error:  # of the decompressor
+        raise FrameError(f"damaged LAZ file ({error})") from None
+    if len(columns[0]) != count:
+        raise FrameError(f"{count} points are announced, {len(columns[0])} follow")
+    columns.append(intensity / 257.0 if intensity.max(initial=0.0) > 255.0 else intensity)  # LAS 1.4: of 16 bits
+    return np.stack([*columns, *([] if ring is None else [ring])], axis=1).astype(np.float32)
+
+
+def _announced(data: bytes) -> int:
+    """The number of points in the header: 32 bits before LAS 1.4."""
+    if data[_VERSION_AT] >= 4 and len(data) >= _COUNT_AT + 8:
+        return int(struct.unpack_from("<Q", data, _COUNT_AT)[0])
+    return int(struct.unpack_from("<I", data, _LEGACY_COUNT_AT)[0])
+
+
+def _records(data: bytes) -> int:
+    """The number of variable length records in the header."""
+    late = data[_VERSION_AT] >= 4 and len(data) >= _COUNT_AT
+    places = (_RECORDS_AT, _LATE_RECORDS_AT) if late else (_RECORDS_AT,)
+    return sum(int(struct.unpack_from("<I", data, at)[0]) for at in places)
+
+
+def _laspy(compressed: bool):  # type: ignore[no-untyped-def]
+    """The library, once it can do what is asked."""
+    try:
+        import laspy
+    except ImportError:
+        raise FrameError(f"needs the extra `{'laz' if compressed else 'las'}`, which is not installed") from None
+    if compressed and not any(backend.is_available() for backend in laspy.LazBackend):
+        raise FrameError("compressed (LAZ): needs the extra `laz`, which is not installed; or decompress it to LAS")
+    return laspy

@@ -1,0 +1,185 @@
+"""Packets as a live source: UDP, received in a thread of its own. Opens sockets and reads the clock."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import socket
+import struct
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from ipaddress import ip_address
+
+from common.bus.status import Report
+from common.clock import utc_ns
+from common.config import ConfigError
+from common.source_url import SourceUrl
+from services.infra_lidar.input.calibration_files import live_metadata
+from services.infra_lidar.input.models import KINDS
+from services.infra_lidar.input.packets import Frame, count_losses, frame_of
+from services.infra_lidar.input.revolution import Revolution
+from services.infra_lidar.input.sensors import Sender, model_of
+from services.infra_lidar.input.spinning import PacketParser
+
+log = logging.getLogger(__name__)
+
+RECEIVE_BUFFER_BYTES = 8 << 20  # a fifth of a second of a 128-beam sensor
+SILENCE_S = 1.0
+MAX_STRANGERS = 4  # that are named
+WAITING_FRAMES = 2  # older ones are dropped: a late frame is worth less than the next
+
+
+def live_packets(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
+    """``velodyne://:2368`` listens there; ``KIND://HOST`` first asks that sensor for what its packets do not say.
+
+    Raises:
+        ConfigError: an address that cannot be listened at, or metadata that cannot be read.
+    """
+    sender = url.params.get("from", "")
+    kind = KINDS[url.scheme]
+    if url.scheme == "velodyne":
+        host, _, port_text = url.target.rpartition(":")
+        port = _port(port_text, url)
+    else:
+        host, port = "", int(url.number("port", kind.port))
+        sender = sender or _address_of(url.target)
+    parser = kind.parser(live_metadata(url), url.number("cut", 0.0))
+    receiver = Receiver(host, port, parser, report, sender)
+    try:
+        while True:
+            revolution = receiver.next(SILENCE_S)
+            if revolution is None:
+                report.state("disconnected", receiver.why_nothing())
+                receiver.forget_sender()
+                continue
+            yield revolution.stamp_ns, frame_of(revolution)
+    finally:
+        receiver.close()
+
+
+def _port(text: str, url: SourceUrl) -> int:
+    if not text.isdigit() or not 0 <= int(text) < 65536:
+        raise ConfigError(f"source {url}: expected velodyne://[ADDRESS]:PORT")
+    return int(text)
+
+
+def _address_of(host: str) -> str:
+    """The sensor's address; "" (any sender) where its name cannot be resolved now."""
+    try:
+        return socket.gethostbyname(host) if host else ""
+    except OSError:
+        return ""
+
+
+class Receiver:
+    """Reads a UDP port in its own thread, so that the socket's buffer does not overflow while the pipeline works.
+
+    host: the address to listen at, or a multicast group to join; empty = any. sender: the only address that is
+    listened to; empty = the first one whose packets are of the parser's kind.
+
+    Raises:
+        ConfigError: the port is taken, or the address is not one of this machine.
+    """
+
+    def __init__(self, host: str, port: int, parser: PacketParser, report: Report, sender: str = "") -> None:
+        self._parser = parser
+        self._report = report
+        self._configured = self._sender = sender
+        self._strangers: set[Sender] = set()  # who else sends here
+        self._frames: queue.Queue[Revolution] = queue.Queue(WAITING_FRAMES)
+        self._stop = threading.Event()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+        timeout = struct.pack("@ll", 0, 200_000)  # the kernel's: Python's asks it twice for every packet
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, timeout)
+        try:
+            group = bool(host) and ip_address(host).is_multicast
+            self._socket.bind(("" if group else host, port))
+            if group:
+                self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(host) + bytes(4))
+        except (OSError, ValueError) as error:
+            self._socket.close()
+            raise ConfigError(f"cannot listen on UDP port {port}: {error}") from None
+        self.port: int = self._socket.getsockname()[1]
+        self._thread = threading.Thread(target=self._receive, name="packets", daemon=True)
+        self._thread.start()
+
+    def next(self, timeout_s: float) -> Revolution | None:
+        """The next revolution; None if none is complete within ``timeout_s``."""
+        try:
+            return self._frames.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+
+    def close(self) -> None:
+        """End the thread and close the socket."""
+        self._stop.set()
+        self._thread.join(1.0)
+        self._socket.close()
+
+    def why_nothing(self) -> str:
+        """Why no revolution comes: nobody sends here, or somebody else does."""
+        if self._strangers:
+            others = "; ".join(sorted(map(str, self._strangers)))
+            return f"UDP port {self.port} has no packets of the sensor that is configured, but of {others}"
+        return f"no packets on UDP port {self.port}; check the sensor's power, cable, address"
+
+    def forget_sender(self) -> None:
+        """Take the next sender of fitting packets, unless one was configured: the sensor may have a new address."""
+        self._sender = self._configured
+
+    def _receive(self) -> None:
+        buffer = bytearray(65536)
+        dropped = 0
+        told: Counter[str] = Counter()
+        while not self._stop.is_set():
+            try:
+                length, (address, *_) = self._socket.recvfrom_into(buffer)
+            except BlockingIOError:
+                continue  # nothing came in time
+            except OSError:
+                return  # closed
+            packet = bytes(memoryview(buffer)[:length])
+            if self._is_stranger(address, packet):
+                continue
+            revolution = self._parser.feed(packet, utc_ns())
+            if revolution is None:
+                continue
+            count_losses(revolution.quality, self._report)
+            told = self._tell(told)
+            revolution = replace(revolution, quality=replace(revolution.quality, dropped_frames=dropped))
+            dropped = self._offer(revolution)
+
+    def _is_stranger(self, address: str, packet: bytes) -> bool:
+        """Whether the packet is not the sensor's: of another sender or of another kind. It is counted."""
+        if address == self._sender:
+            return False
+        if not self._sender and self._parser.accepts(packet):
+            self._sender = address
+            return False
+        self._report.bad_input("packet of another sensor" if self._parser.accepts(packet) else "packet of another kind")
+        stranger = Sender(address, self.port, model_of(packet))
+        if stranger not in self._strangers and len(self._strangers) < MAX_STRANGERS:
+            self._strangers.add(stranger)
+            log.warning("UDP port %d also gets packets of %s; they are not used", self.port, stranger)
+        return True
+
+    def _tell(self, told: Counter[str]) -> Counter[str]:
+        """Add what the parser has counted since ``told`` to the report."""
+        now = Counter({"packet of another kind": self._parser.rejected}) + self._parser.order.counters
+        for name, count in (now - told).items():
+            self._report.bad_input(name, count)
+        return now
+
+    def _offer(self, revolution: Revolution) -> int:
+        """Queue it, in place of the oldest one if the queue is full. Returns the number of dropped ones."""
+        try:
+            self._frames.put_nowait(revolution)
+            return 0
+        except queue.Full:
+            self._frames.get_nowait()
+            self._report.dropped()
+            self._frames.put_nowait(revolution)
+            return 1

@@ -1,0 +1,140 @@
+"""Frames, and captures of packets as a source of them. Opens files."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from common.bus.status import Report
+from common.config import ConfigError
+from common.source_url import SourceUrl
+from services.infra_lidar.input.calibration_files import beside, captured_metadata
+from services.infra_lidar.input.captures import CaptureError, read_capture
+from services.infra_lidar.input.models import KINDS, kind_of
+from services.infra_lidar.input.ouster import OusterFormat, OusterParser
+from services.infra_lidar.input.range_image import Returns, points_of
+from services.infra_lidar.input.revolution import Revolution
+from services.infra_lidar.input.sensors import OUSTER, SUPPORTED, SURVEY_PACKETS, Sender, model_of, survey
+from services.infra_lidar.input.spinning import PacketParser
+from services.infra_lidar.sensor_health import FrameQuality
+
+
+@dataclass(frozen=True)
+class Frame:
+    """returns: of one revolution. received_ns: UTC ns at which it was complete."""
+
+    returns: Returns
+    received_ns: int
+    quality: FrameQuality = field(default_factory=FrameQuality)
+    packets: list[bytes] = field(default_factory=list)  # what it was decoded from, if it came in packets
+    metadata: str = ""  # of the sensor, what they need to be decoded again
+    kind: str = "velodyne"  # of the sensor, as in ``models.KINDS``
+
+    @property
+    def points(self) -> np.ndarray:
+        """(N, 3..5) float32 metres, sensor frame (x, y, z, intensity, ring)."""
+        return points_of(self.returns)
+
+
+Recorded: TypeAlias = tuple[float | None, Frame]
+"""A frame of a recording, with the UTC seconds of its measurement if they were recorded."""
+
+
+def recorded_revolutions(path: Path, url: SourceUrl, report: Report) -> Callable[[], Iterator[Recorded]]:
+    """Revolutions of a capture of any sensor of ``models.KINDS``.
+
+    Raises:
+        ConfigError: another kind of file, unreadable, of a sensor that is not supported, of several sensors, or without
+            the metadata or calibration that this sensor needs.
+    """
+    try:
+        sender = choose_sender(path, url)
+    except CaptureError as error:
+        raise ConfigError(f"source {url}: {error}") from None
+    kind, cut_deg = kind_of(sender.model), url.number("cut", 0.0)
+    metadata = captured_metadata(sender, path, url)
+    if kind == "ouster":
+        layout = OusterFormat(metadata)
+        _expect_packets(layout, path, sender, url)
+        return lambda: decoded(_packets_of(path, sender, layout.packet_bytes), OusterParser(layout), report)
+    return lambda: decoded(_packets_of(path, sender), KINDS[kind].parser(metadata, cut_deg), report)
+
+
+def choose_sender(path: Path, url: SourceUrl) -> Sender:
+    """The one sensor of a capture, or the one that ``?from=`` and ``?port=`` name.
+
+    Raises:
+        CaptureError: no capture, or a link layer that is not known.
+        ConfigError: no sensor, none that is supported, or several.
+    """
+    with path.open("rb") as stream:
+        found = list(survey(islice(read_capture(stream), SURVEY_PACKETS)))
+    asked = [s for s in found if url.params.get("from", s.address) == s.address]
+    asked = [s for s in asked if int(url.number("port", s.port)) == s.port]
+    supported = [sender for sender in asked if sender.supported]
+    if len(supported) == 1:
+        return supported[0]
+    if supported:
+        raise ConfigError(
+            f"source {url}: several sensors: {'; '.join(map(str, supported))}. Choose one with ?from=ADDRESS or ?port="
+        )
+    if "metadata" in url.params or beside(path, ".json").exists():
+        return Sender("", 0, OUSTER)  # of a kind that is not in the table: the metadata tell its packets
+    seen = "; ".join(map(str, found)) or "no packets of a lidar that we know"
+    raise ConfigError(f"source {url}: {seen}. Supported: {', '.join(SUPPORTED)}")
+
+
+def _packets_of(path: Path, sender: Sender, size: int = 0) -> Iterator[tuple[int, bytes]]:
+    """(UTC ns, packet) of one sensor, read as they are taken; those of one ``size``, or else of the sensor's model."""
+    with path.open("rb") as stream:
+        for datagram in read_capture(stream):
+            here = sender.address in ("", datagram.sender) and sender.port in (0, datagram.port)
+            payload = datagram.payload
+            if here and (len(payload) == size if size else model_of(payload) == sender.model):
+                yield datagram.stamp_ns, datagram.payload
+
+
+def _expect_packets(layout: OusterFormat, path: Path, sender: Sender, url: SourceUrl) -> None:
+    """Refuse metadata of another mode of the sensor than the capture's."""
+    with path.open("rb") as stream:
+        sizes = Counter(len(d.payload) for d in islice(read_capture(stream), SURVEY_PACKETS))
+    if layout.packet_bytes not in sizes:
+        seen = ", ".join(f"{count} of {size}" for size, count in sizes.most_common(3)) or "none"
+        raise ConfigError(
+            f"source {url}: the metadata ({layout.profile_name}, {layout.beams} beams) tell packets of "
+            f"{layout.packet_bytes} bytes, the capture has {seen} bytes ({sender.model}): metadata of another mode?"
+        )
+
+
+def decoded(packets: Iterator[tuple[int, bytes]], parser: PacketParser, report: Report) -> Iterator[Recorded]:
+    """The revolutions of (UTC ns, packet); what is lost, doubled, late or foreign is counted."""
+    for stamp_ns, packet in packets:
+        revolution = parser.feed(packet, stamp_ns)
+        if revolution is not None:
+            count_losses(revolution.quality, report)
+            yield revolution.stamp_ns / 1e9, frame_of(revolution)
+    report.bad_input("packet of another kind", parser.rejected)
+    for name, count in parser.order.counters.items():
+        report.bad_input(name, count)
+    if isinstance(parser, OusterParser):  # its last revolution has no packet after it
+        last = parser.flush()
+        if last is not None:
+            yield last.stamp_ns / 1e9, frame_of(last)
+
+
+def frame_of(revolution: Revolution) -> Frame:
+    """The frame of a revolution that was received with its last packet."""
+    turn = revolution
+    return Frame(turn.range_image, turn.stamp_ns, turn.quality, turn.packets, turn.metadata, turn.kind)
+
+
+def count_losses(quality: FrameQuality, report: Report) -> None:
+    """Add what is missing of a revolution to the counters of the service."""
+    report.bad_input("packet lost", quality.packets_lost)
+    report.bad_input("incomplete revolution", int(not quality.complete))

@@ -1,0 +1,139 @@
+"""Point Cloud Library files to arrays. Bytes in, (N, 3..5) float32 out: x, y, z, intensity, ring; no I/O."""
+
+from __future__ import annotations
+
+import io
+import struct
+
+import numpy as np
+
+_PCD_TYPES = {("F", 4): "<f4", ("F", 8): "<f8", ("U", 1): "<u1", ("U", 2): "<u2", ("U", 4): "<u4", ("U", 8): "<u8",
+              ("I", 1): "<i1", ("I", 2): "<i2", ("I", 4): "<i4", ("I", 8): "<i8"}  # fmt: skip
+MAX_POINTS = 5_000_000
+
+
+class FrameError(ValueError):
+    """A frame file that cannot be read; the text says why."""
+
+
+def parse_pcd(data: bytes) -> np.ndarray:
+    """(N, 3..5) float32 of a Point Cloud Library file: ascii, binary or binary_compressed (PCL's format, version 0.7).
+
+    Raises:
+        FrameError: damaged, or the header contradicts itself or lacks a coordinate.
+    """
+    header, body = _pcd_header(data)
+    count = _point_count(header)
+    names = [name.lower() for name in header["FIELDS"]]
+    missing = [axis for axis in "xyz" if axis not in names]
+    if missing:
+        raise FrameError(f"no field {' and '.join(missing)} among {' '.join(header['FIELDS'])}")
+    counts = [int(c) for c in header.get("COUNT", ["1"] * len(names))]
+    types = [_type_of(t, int(s)) for t, s in zip(header["TYPE"], header["SIZE"], strict=True)]
+    kind = header["DATA"][0]
+    if kind == "ascii":
+        if not body.strip():
+            raise FrameError("no points behind the header")
+        starts = np.concatenate([[0], np.cumsum(counts)])
+        table = np.loadtxt(io.BytesIO(body), dtype=np.float64, comments=None, ndmin=2, max_rows=count)
+        fields = {name: table[:, start] for name, start in zip(names, starts, strict=False)}
+    elif kind == "binary":
+        record = np.dtype([(n, t, (c,)) for n, t, c in zip(_unique(names), types, counts, strict=True)])
+        if len(body) < count * record.itemsize:
+            raise FrameError(f"{count} points of {record.itemsize} bytes are announced, {len(body)} bytes follow")
+        rows = np.frombuffer(body, record, count)
+        fields = {n: rows[n][:, 0] for n in record.names or () if rows[n].shape[1]}
+    elif kind == "binary_compressed":
+        fields = _pcd_columns(body, names, types, counts, count)
+    else:
+        raise FrameError(f"DATA {kind} is no layout of PCD")
+    columns = [fields[axis] for axis in "xyz"]
+    intensity = next((fields[n] for n in ("intensity", "i") if n in fields), None)
+    ring = next((fields[n] for n in ("ring", "channel") if n in fields), None)
+    if intensity is not None or ring is not None:
+        columns.append(intensity if intensity is not None else np.zeros(count))
+    if ring is not None:
+        columns.append(ring)
+    return np.ascontiguousarray(np.stack(columns, axis=1), np.float32)
+
+
+def _point_count(header: dict[str, list[str]]) -> int:
+    """Number of points; WIDTH x HEIGHT and POINTS have to agree."""
+    told = {}
+    if "WIDTH" in header:
+        told["WIDTH x HEIGHT"] = int(header["WIDTH"][0]) * int(header.get("HEIGHT", ["1"])[0])
+    if "POINTS" in header:
+        told["POINTS"] = int(header["POINTS"][0])
+    if len(set(told.values())) != 1:
+        raise FrameError("; ".join(f"{name} says {count} points" for name, count in told.items()) or "no WIDTH")
+    count = next(iter(told.values()))
+    if not 0 < count <= MAX_POINTS:
+        raise FrameError(f"{count} points")
+    return count
+
+
+def _type_of(letter: str, size: int) -> str:
+    if (letter, size) not in _PCD_TYPES:
+        raise FrameError(f"a field of type {letter} with {size} bytes is no type of PCD")
+    return _PCD_TYPES[letter, size]
+
+
+def _pcd_header(data: bytes) -> tuple[dict[str, list[str]], bytes]:
+    header: dict[str, list[str]] = {}
+    position = 0
+    while "DATA" not in header:
+        end = data.find(b"\n", position)
+        if end < 0 or position > 10_000:
+            raise FrameError("no DATA line in the header")
+        words = data[position:end].decode("ascii", "replace").split()
+        if words and not words[0].startswith("#"):
+            header[words[0].upper()] = words[1:]
+        position = end + 1
+    return header, data[position:]
+
+
+def _unique(names: list[str]) -> list[str]:
+    """Padding fields are all called ``_``: a record needs different names."""
+    return [f"{name}{i}" if names.count(name) > 1 else name for i, name in enumerate(names)]
+
+
+def _pcd_columns(
+    body: bytes, names: list[str], types: list[str], counts: list[int], count: int
+) -> dict[str, np.ndarray]:
+    packed, size = struct.unpack_from("<II", body)
+    expected = sum(np.dtype(t).itemsize * c for t, c in zip(types, counts, strict=True)) * count
+    if size != expected:
+        raise FrameError(f"{size} bytes unpacked, {expected} expected")
+    raw = lzf_decompress(body[8 : 8 + packed], size)
+    fields, position = {}, 0
+    for name, kind, repeat in zip(names, types, counts, strict=True):
+        fields[name] = np.frombuffer(raw, kind, count * repeat, position)[:count]
+        position += np.dtype(kind).itemsize * count * repeat
+    return fields
+
+
+def lzf_decompress(packed: bytes, size: int) -> bytes:
+    """LibLZF: a control byte < 32 copies that many + 1 literals, else a match of length (c >> 5) + 2 that far back."""
+    out = bytearray()
+    i = 0
+    while i < len(packed):
+        control = packed[i]
+        i += 1
+        if control < 32:
+            out += packed[i : i + control + 1]
+            i += control + 1
+            continue
+        length = control >> 5
+        if length == 7:
+            length += packed[i]
+            i += 1
+        start = len(out) - ((control & 31) << 8) - packed[i] - 1
+        i += 1
+        if start < 0 or len(out) > size:
+            raise FrameError("damaged compressed data")
+        for _ in range(length + 2):  # may overlap itself: byte by byte
+            out.append(out[start])
+            start += 1
+    if len(out) != size:
+        raise FrameError(f"compressed data give {len(out)} bytes, {size} expected")
+    return bytes(out)

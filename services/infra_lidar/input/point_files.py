@@ -1,0 +1,227 @@
+"""Files of single frames to arrays: ``.npz .npy .bin .pcd .ply .las .laz``. Bytes in, (N, 3..5) float32 out; no I/O.
+
+The columns are x, y, z in metres in the sensor frame, intensity 0..255 and ring. A file without rings gives four
+columns, one without intensity and rings three. Nothing is guessed: numbers that do not bear out a layout are refused.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from services.infra_lidar.input.las import parse_las
+from services.infra_lidar.input.pcd import FrameError, parse_pcd
+from services.infra_lidar.input.ply import parse_ply
+
+POINTS_OF = {".pcd": parse_pcd, ".ply": parse_ply, ".las": parse_las, ".laz": parse_las}
+FRAME_SUFFIXES = (".npz", ".pcd", ".bin", ".npy", ".ply", ".las", ".laz")
+MAX_POINTS = 5_000_000
+ENOUGH_POINTS = 10_000  # to tell how far half of them are
+FARTHEST_MEDIAN_M = 400.0  # half of the points are farther: then these are no metres
+LAYOUTS = {3: ("x", "y", "z"), 4: ("x", "y", "z", "intensity"), 5: ("x", "y", "z", "intensity", "ring")}
+PERIODS = range(3, 9)  # values a row that are looked for in a .bin
+ENOUGH_VALUES = 1000  # fewer do not tell how long the rows are
+CLEAR_SHARE = 0.97  # of the best score: a multiple of the period scores as well, a divisor does not
+
+
+def frame_files(folder: Path) -> list[Path]:
+    """The frames of the first suffix that the folder holds; ``background.npz`` is a model, not a frame."""
+    for suffix in FRAME_SUFFIXES:
+        names = sorted(
+            p for p in folder.iterdir() if p.suffix.lower() == suffix and not p.name.startswith("background")
+        )
+        if names:
+            return names
+    return []
+
+
+@dataclass(frozen=True)
+class FileFrame:
+    """points: (N, 3..5) float32. stamp_s: UTC seconds as recorded, or None."""
+
+    points: np.ndarray
+    stamp_s: float | None = None
+
+
+def parse_frame(name: str, data: bytes, columns: tuple[str, ...] = ()) -> FileFrame:
+    """One file by its suffix; a file named by nanoseconds gives its stamp.
+
+    columns: what the columns of a ``.bin`` or ``.npy`` are, such as ("x", "y", "z", "intensity", "time"). Without them
+    only the usual layouts are taken, and only when the numbers bear them out.
+
+    Raises:
+        FrameError: damaged, of an unknown layout, without points, or not in metres.
+    """
+    try:
+        with np.errstate(all="ignore"):  # what is too large for float32 becomes infinite and is left out
+            frame = _parse(name, data, columns)
+            return FileFrame(in_metres(frame.points), frame.stamp_s)
+    except FrameError as error:
+        raise FrameError(f"{name}: {error}") from None
+    except (ValueError, LookupError, OSError, EOFError, struct.error, zipfile.BadZipFile, zlib.error) as error:
+        raise FrameError(f"{name}: {error}") from error
+
+
+def _parse(name: str, data: bytes, columns: tuple[str, ...]) -> FileFrame:
+    suffix = name[name.rfind(".") :].lower()
+    if suffix == ".npz":
+        return parse_npz(data)
+    if suffix in POINTS_OF:
+        return FileFrame(POINTS_OF[suffix](data), _stamp_in_name(name))
+    if suffix == ".npy":
+        rows = np.load(io.BytesIO(data), allow_pickle=False)
+        if rows.ndim != 2 or rows.dtype.kind not in "fiu":
+            raise FrameError(f"an array of shape {rows.shape} and type {rows.dtype}, expected (N, 3..) numbers")
+        return FileFrame(_named(rows.astype(np.float32), columns), _stamp_in_name(name))
+    return FileFrame(parse_bin(data, columns), _stamp_in_name(name))
+
+
+def in_metres(points: np.ndarray) -> np.ndarray:
+    """The finite points.
+
+    Raises:
+        FrameError: there are none, or they are so far away that they cannot be metres from the sensor.
+    """
+    finite = np.isfinite(points[:, 0] + points[:, 1] + points[:, 2])
+    if not finite.all():
+        points = points[finite]
+    if not len(points):
+        raise FrameError("no points")
+    sample = points[:: len(points) // ENOUGH_POINTS | 1, :3]  # an odd step: so that every beam is among them
+    xyz = sample.astype(float)
+    median_m = _half_within_m(xyz)
+    if median_m > FARTHEST_MEDIAN_M:
+        if 0.0 < _half_within_m(xyz - np.median(xyz, axis=0)) < min(FARTHEST_MEDIAN_M, 0.1 * median_m):
+            raise FrameError(
+                f"the points lie about {median_m:.0f} m away: coordinates of a map? The sensor has to be the origin"
+            )
+        raise FrameError(f"half of the points are farther than {median_m:.0f}: expected metres; are these millimetres?")
+    return points
+
+
+def _half_within_m(xyz: np.ndarray) -> float:
+    """How far from the origin half of the points lie."""
+    return float(np.median(np.linalg.norm(xyz, axis=1)))
+
+
+def parse_bin(data: bytes, columns: tuple[str, ...] = ()) -> np.ndarray:
+    """Raw float32 rows: x y z, with intensity (KITTI), with ring; or ``columns``.
+
+    How long the rows are shows in the numbers: heights, intensities and rings repeat with that period.
+    """
+    values = np.frombuffer(data, "<f4") if len(data) % 4 == 0 else None
+    if values is None or not len(values):
+        raise FrameError(f"{len(data)} bytes are no rows of float32")
+    width = len(columns) or row_length(values)
+    if len(values) % width:
+        raise FrameError(f"{len(values)} float32 values are no rows of {width}")
+    return _named(np.array(values.reshape(-1, width)), columns)
+
+
+def row_length(values: np.ndarray) -> int:
+    """How many values make a row.
+
+    Raises:
+        FrameError: the numbers do not tell.
+    """
+    possible = [width for width in PERIODS if len(values) % width == 0]
+    if len(values) < ENOUGH_VALUES:
+        usual = [width for width in (5, 4, 3) if width in possible and not _contradiction(values, width)]
+        if usual:
+            return usual[0]
+        raise FrameError(f"{len(values)} float32 values: {_HOW_TO_TELL}")
+    scores = {width: _periodicity(values, width) for width in PERIODS}
+    clear = [width for width in PERIODS if scores[width] >= CLEAR_SHARE * max(scores.values())]
+    width = clear[0]  # its multiples score as well
+    if width not in possible or width not in LAYOUTS:
+        raise FrameError(f"the numbers look like rows of {width}: {_HOW_TO_TELL}")
+    return width
+
+
+_HOW_TO_TELL = "say what the columns are with ?columns=x,y,z,... (others: any name)"
+
+
+def _periodicity(values: np.ndarray, width: int) -> float:
+    """Share of the variance of the numbers' size that their place in a row explains."""
+    size = np.log1p(np.abs(np.nan_to_num(values[: len(values) // width * width].astype(float))))
+    places = size.reshape(-1, width).mean(axis=0)
+    return float(places.var() / max(float(size.var()), 1e-12))
+
+
+def _contradiction(values: np.ndarray, width: int) -> str:
+    """Why rows of so many values are not the usual layout; "" = nothing speaks against it."""
+    rows = values.reshape(-1, width)
+    if width == 5:
+        ring = rows[:, 4]
+        if not ((ring >= 0) & (ring < 256) & (ring == np.floor(ring))).all():
+            return "the fifth column is no ring: whole numbers from 0 to 255 are expected"
+    if width >= 4 and not ((rows[:, 3] >= 0) & (rows[:, 3] <= 65535)).all():
+        return "the fourth column is no intensity: some are negative"
+    return ""
+
+
+def _named(rows: np.ndarray, columns: tuple[str, ...]) -> np.ndarray:
+    """(N, 3..5) from rows (N, W): the columns by name, or the usual layout if the numbers bear it out."""
+    if columns:
+        if len(columns) != rows.shape[1] or not {"x", "y", "z"} <= set(columns):
+            raise FrameError(f"columns {','.join(columns)}: {rows.shape[1]} names with x, y and z are expected")
+    elif rows.shape[1] not in LAYOUTS:
+        raise FrameError(f"{rows.shape[1]} columns: {_HOW_TO_TELL}")
+    elif _contradiction(rows, rows.shape[1]):
+        raise FrameError(f"{_contradiction(rows, rows.shape[1])}; {_HOW_TO_TELL}")
+    names = list(columns or LAYOUTS[rows.shape[1]])
+    chosen = [rows[:, names.index(name)] for name in "xyz"]
+    if "intensity" in names or "ring" in names:
+        chosen.append(rows[:, names.index("intensity")] if "intensity" in names else np.zeros(len(rows)))
+    if "ring" in names:
+        chosen.append(rows[:, names.index("ring")])
+    return np.ascontiguousarray(np.stack(chosen, axis=1), np.float32)
+
+
+def parse_npz(data: bytes) -> FileFrame:
+    """``xyz`` (..., 3) and optionally ``intensity ring stamp range_mm reflectivity``; or ``xyz_cm`` int16."""
+    if data[:2] != b"PK":
+        raise FrameError("not an .npz file")
+    with np.load(io.BytesIO(data), allow_pickle=False) as file:
+        if "xyz" in file:
+            xyz = np.asarray(file["xyz"], np.float32)
+        elif "xyz_cm" in file:
+            xyz = np.asarray(file["xyz_cm"], np.float32) / np.float32(100.0)
+        else:
+            raise FrameError(f"no array 'xyz' among {', '.join(file.files)}")
+        if xyz.ndim < 2 or xyz.shape[-1] != 3 or xyz.size > 3 * MAX_POINTS:
+            raise FrameError(f"xyz has shape {xyz.shape}, expected (..., 3)")
+        shape = xyz.shape[:-1]
+        columns = [xyz.reshape(-1, 3)]
+        intensity = next((file[n] for n in ("intensity", "reflectivity") if n in file), None)
+        ring = next((file[n] for n in ("ring",) if n in file), None)
+        if ring is None and len(shape) == 2:  # an organised cloud: rows are beams
+            ring = np.broadcast_to(np.arange(shape[0])[:, None], shape)
+        if intensity is not None or ring is not None:
+            columns.append(_column(intensity, shape))
+        if ring is not None:
+            columns.append(_column(ring, shape))
+        points = np.hstack(columns)
+        if "range_mm" in file:
+            points = points[file["range_mm"].ravel() > 0]
+        stamp_s = float(file["stamp"]) if "stamp" in file else None
+    return FileFrame(np.ascontiguousarray(points, np.float32), stamp_s)
+
+
+def _column(values: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+    if values is None:
+        return np.zeros((int(np.prod(shape)), 1), np.float32)
+    if values.shape != shape:
+        raise FrameError(f"a column of shape {values.shape} does not belong to points {shape}")
+    return np.clip(values, 0, 255).astype(np.float32).reshape(-1, 1)
+
+
+def _stamp_in_name(name: str) -> float | None:
+    stem = name.rpartition("/")[2].partition(".")[0]
+    return int(stem) / 1e9 if stem.isdigit() and 18 <= len(stem) <= 19 else None

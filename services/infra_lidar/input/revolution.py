@@ -1,0 +1,212 @@
+"""Packets to revolutions: packets are collected until the head passes the cut; losses and gaps are counted.
+
+A revolution is decoded while it comes, some packets at a time: when its last packet is there, little is left to do.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from services.infra_lidar.input.range_image import RangeImage
+from services.infra_lidar.sensor_health import FrameQuality
+
+FULL_COVERAGE = 0.97  # of the directions that the sensor sends: then a revolution is complete
+WINDOW_TURNS = 10  # the field of view is what was seen in any of the last so many turns
+NARROWEST_DARK_DEG = 45  # that a window leaves out
+RECENT_PACKETS = 32  # a mirror port sends a packet again right behind itself, a switch swaps neighbours
+BATCH_PACKETS = 64  # decoded together, a tenth of a revolution
+MAX_PACKETS = 8192  # of a revolution: a slow one with two returns has 7200. A stuck head never passes the cut
+
+
+@dataclass(frozen=True)
+class Revolution:
+    """One turn of the head.
+
+    stamp_ns: UTC ns of its last packet. packets: what it was decoded from. metadata, kind: of the sensor, what is
+    needed to decode them again.
+    """
+
+    range_image: RangeImage
+    stamp_ns: int
+    quality: FrameQuality
+    packets: list[bytes] = field(default_factory=list)
+    metadata: str = ""
+    kind: str = "velodyne"
+
+    @property
+    def points(self) -> np.ndarray:
+        """(R W, 5) float32 x, y, z (m, sensor frame), intensity, ring; zeros where there is no return."""
+        return self.range_image.points
+
+
+@dataclass(frozen=True)
+class PacketDecoder:
+    """How a sensor's packets become range images.
+
+    decode: packets (P, B) uint8 to the rows that they hold. metadata: what is needed to decode beside them, "" =
+    nothing. kind: of the sensor, as in ``models.KINDS``.
+    """
+
+    decode: Callable[[np.ndarray], RangeImage]
+    metadata: str = ""
+    kind: str = "velodyne"
+
+
+def stack_packets(packets: Sequence[bytes]) -> np.ndarray:
+    """(P, B) uint8 of packets of one size."""
+    return np.frombuffer(b"".join(packets), np.uint8).reshape(len(packets), -1)
+
+
+def join_rows(parts: Sequence[RangeImage]) -> RangeImage:
+    """One range image of the rows of all parts (at least one), with the beams of the longest.
+
+    Beams hold the speed of the head, which a part of few packets tells badly.
+    """
+
+    def join(name: str) -> np.ndarray:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    return RangeImage(
+        join("range_m"), join("intensity"), join("cos"), join("sin"), join("bank"), max(parts, key=len).beams
+    )
+
+
+def decode_revolution(raw: np.ndarray, decoder: PacketDecoder) -> RangeImage:
+    """The range image of packets (P, B) uint8, the same as if they came one by one."""
+    firsts = range(0, max(len(raw), 1), BATCH_PACKETS)
+    return join_rows([decoder.decode(raw[first : first + BATCH_PACKETS]) for first in firsts])
+
+
+class PacketOrder:
+    """Tells packets that follow each other from doubled and late ones and from gaps, by the sensor's own counter.
+
+    ``counters`` holds ``packet doubled`` and ``packet late``.
+
+    Args:
+        period: where the counter begins again at 0.
+        farthest: a step of the counter beyond this is no gap but a sensor that has started anew.
+    """
+
+    def __init__(self, period: int, farthest: int) -> None:
+        self.counters: Counter[str] = Counter()
+        self._period, self._farthest = period, farthest
+        self._recent: deque[int] = deque(maxlen=RECENT_PACKETS)
+        self._newest: int | None = None
+
+    def missing(self, position: int, step: float) -> int | None:
+        """Packets missing before the one at ``position``, ``step`` is from one to the next; None = it is a double.
+
+        -1: it is late, and was counted as missing before.
+        """
+        if position in self._recent:
+            self.counters["packet doubled"] += 1
+            return None
+        self._recent.append(position)
+        half = self._period // 2
+        ahead = 0 if self._newest is None else (position - self._newest + half) % self._period - half
+        if -RECENT_PACKETS * step < ahead < 0:
+            self.counters["packet late"] += 1
+            return -1
+        self._newest = position
+        return max(0, round(ahead / step) - 1) if 0 < ahead < self._farthest else 0
+
+
+class FieldOfView:
+    """Which degrees the sensor sends. A window that is set in the sensor is normal on a mast: it is learned.
+
+    What no turn has shown over a wide sector is outside the window; a narrower hole is loss.
+    """
+
+    def __init__(self) -> None:
+        self._turns: deque[int] = deque(maxlen=WINDOW_TURNS)  # a bit for each degree
+        self.degrees = (1 << 360) - 1  # a bit for each degree that is expected; all of them in the first turn
+
+    def add(self, covered: int) -> None:
+        """The degrees of a turn."""
+        self._turns.append(covered)
+        seen = 0
+        for turn in self._turns:
+            seen |= turn
+        places = [k for k in range(360) if seen >> k & 1]
+        for here, following in pairwise([*places, *(k + 360 for k in places[:1])]):
+            if following - here <= NARROWEST_DARK_DEG:
+                for k in range(here + 1, following):
+                    seen |= 1 << k % 360
+        self.degrees = seen
+
+    def share(self, last_deg: float, first_deg: float) -> float:
+        """Share of the whole degrees between the end of a packet and the beginning of the next that is expected."""
+        count = (int(first_deg) - int(last_deg) - 1) % 360
+        between = [(int(last_deg) + 1 + k) % 360 for k in range(count)]
+        return sum(self.degrees >> k & 1 for k in between) / count if count and count < 359 else 1.0
+
+
+class RevolutionAssembler:
+    """Collects the packets of a revolution and decodes them.
+
+    ``revolutions``, ``incomplete`` and ``lost`` count since the start: all revolutions, those that leave out a part of
+    the circle, and packets that are missing.
+    """
+
+    def __init__(self, decoder: PacketDecoder) -> None:
+        self._decoder = decoder
+        self._packets: list[bytes] = []
+        self._parts: list[RangeImage] = []
+        self._covered = 0  # a bit for each degree
+        self._view = FieldOfView()
+        self._last_deg = 0.0
+        self._lost = 0
+        self._stamp_ns = 0
+        self.revolutions = 0
+        self.incomplete = 0
+        self.lost = 0
+
+    def add(self, packet: bytes, first_deg: float, last_deg: float, stamp_ns: int, lost: int) -> None:
+        """One packet that saw the directions from ``first_deg`` to ``last_deg``, with ``lost`` missing before it.
+
+        -1: it is one of those that were missing. What lies outside the sensor's field of view is not lost.
+        """
+        self._packets.append(packet)
+        if len(self._packets) % BATCH_PACKETS == 0:
+            self._decode(BATCH_PACKETS)
+        first, last = int(first_deg), int(last_deg)
+        if first <= last:
+            self._covered |= (2 << last) - (1 << first)
+        expected = round(lost * self._view.share(self._last_deg, first_deg)) if lost > 0 else lost
+        self._last_deg = last_deg
+        self._lost += expected
+        self.lost += expected
+        self._stamp_ns = max(stamp_ns, self._stamp_ns)
+
+    @property
+    def full(self) -> bool:
+        """Whether there are more packets than a revolution has: then it ends here, as an incomplete one."""
+        return len(self._packets) >= MAX_PACKETS
+
+    def finish(self) -> Revolution | None:
+        """The revolution that ends here; None if no packet has come since the last one."""
+        if not self._packets:
+            return None
+        if len(self._packets) % BATCH_PACKETS:
+            self._decode(len(self._packets) % BATCH_PACKETS)
+        expected = self._view.degrees
+        turned = not self.full  # else the head is stuck
+        complete = turned and (self._covered & expected).bit_count() >= FULL_COVERAGE * expected.bit_count()
+        if turned:
+            self._view.add(self._covered)
+        quality = FrameQuality(len(self._packets), max(0, self._lost), complete)
+        image = join_rows(self._parts)
+        decoder = self._decoder
+        revolution = Revolution(image, self._stamp_ns, quality, self._packets, decoder.metadata, decoder.kind)
+        self.revolutions += 1
+        self.incomplete += not complete
+        self._packets, self._parts, self._lost, self._covered = [], [], 0, 0
+        return revolution
+
+    def _decode(self, newest: int) -> None:
+        self._parts.append(self._decoder.decode(stack_packets(self._packets[-newest:])))

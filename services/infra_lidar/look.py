@@ -1,0 +1,69 @@
+"""What the roadside lidar shows: turns and returns a second, how complete they are. Without the pipeline's kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from common.bus.look import AsJson, Look, Seconds, Seen, Watch, collect, show
+from common.bus.service_app import load_config
+from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.input.packets import Frame
+from services.infra_lidar.input.senders import tell_senders
+from services.infra_lidar.input.source import open_source
+
+SENSORS = {"velodyne": "VLS-128", "ouster": "Ouster", "hesai": "Hesai", "robosense": "RoboSense"}
+
+
+def looks(config: InfraLidarConfig, seconds: float) -> Iterator[Look]:
+    """One ``Look`` a period, over the turns that came in it.
+
+    Raises:
+        ConfigError: the source cannot be opened as it is written.
+    """
+    sensor = SENSORS.get(config.source.partition(":")[0], "")
+    for seen in collect(lambda report: open_source(config, report), seconds):
+        yield describe(seen, sensor) if seen.items else seen.nothing("complete turn")
+
+
+def describe(seen: Seen[tuple[int, Frame]], sensor: str) -> Look:
+    """The figures of one period, with the returns of the newest turn."""
+    points, packets = seen.items[-1][1].points, len(seen.items[-1][1].packets)
+    which = f"{sensor}, {packets} packets a turn, " if sensor else ""
+    reach_m = np.linalg.norm(points[:, :3], axis=1) if len(points) else np.zeros(0)
+    where = f", from {reach_m.min():.1f} to {reach_m.max():.1f} m" if len(reach_m) else ""
+    bad = ", ".join(f"{name}: {count}" for name, count in sorted(seen.status.counters.items()))
+    turns = f"{which}{seen.rate_hz:.1f} turns a second, {len(points)} returns{where}{'; ' + bad if bad else ''}"
+    if len(points):
+        return Look(sees=True, what=turns)
+    return Look(sees=False, what=turns, do="turns without a return: is the window covered, the laser on?")
+
+
+def add_look(app: typer.Typer) -> None:
+    """Give the command line the subcommand ``look``, here with a capture or a UDP port to look at."""
+
+    @app.command()
+    def look(
+        context: typer.Context,
+        where: Annotated[
+            str | None,
+            typer.Argument(
+                metavar="FILE_OR_PORT", help="A capture, a ROS bag, files of points, or a UDP port such as 2368."
+            ),
+        ] = None,
+        seconds: Seconds = 1.0,
+        watch: Watch = False,
+        as_json: AsJson = False,
+    ) -> None:
+        """Open the source and say what the sensor shows; or say which lidars send in FILE_OR_PORT.
+
+        For each: address, model, rate, returns, losses, and the `source` to configure. Exit code 1 when there is
+        nothing.
+        """
+        if where is not None:
+            raise typer.Exit(0 if tell_senders(where, seconds) else 1)
+        config = load_config(InfraLidarConfig, *context.obj)
+        show(config, looks(config, seconds), watch, as_json)

@@ -1,0 +1,222 @@
+"""Segmentation of a frame into background, road, and obstacles, which go on to be clustered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from services.infra_lidar.calibration.monitor import CalibrationMonitor
+from services.infra_lidar.calibration.plane_fit import Calibration
+from services.infra_lidar.classification.classes import BACKGROUND
+from services.infra_lidar.clustering.clustering import ClusterPoints
+from services.infra_lidar.clustering.grid import CellGrid
+from services.infra_lidar.config import ClusteringConfig, InfraLidarConfig
+from services.infra_lidar.input.range_image import Returns, count_of, points_of, sample_of
+from services.infra_lidar.segmentation.background import Background, BackgroundMask, BackgroundModel, Foreground
+from services.infra_lidar.segmentation.ground import Ground, Levelled, Obstacles
+from services.infra_lidar.sensor_health import FrameStatistics
+
+MIN_SHARE = 0.6  # of a cluster's points that must lie within fixed things
+LOW, HIGH = 0, 1  # layers: below and above a body's height
+
+
+class StaticMap:
+    """Draws and reads bird's-eye maps of fixed things, (2, side, side) bool, on the grid of the clusters."""
+
+    def __init__(self, config: ClusteringConfig, range_max_m: float) -> None:
+        self._grid = CellGrid(config, range_max_m)
+        self._body_m = config.body_height_m or np.inf
+
+    def fits(self, static_map: np.ndarray) -> bool:
+        """Whether a map is on this grid; an empty one is on any."""
+        side = self._grid.side
+        return not static_map.size or (static_map.shape == (2, side, side) and static_map.dtype == bool)
+
+    def draw(self, obstacles: Obstacles, road_user: np.ndarray) -> np.ndarray:
+        """The map of what stands in a whole frame of N points, without road_user (N,) bool, widened by a cell."""
+        points = obstacles.points[~road_user[obstacles.index]]
+        layer = np.where(points[:, 3] >= self._body_m, HIGH, LOW)
+        drawn = np.zeros((2, self._grid.side, self._grid.side), bool)
+        drawn[layer, *self._cells(points)] = True
+        wide = drawn.copy()
+        for axis in (1, 2):
+            for step in (-1, 1):
+                wide |= np.roll(drawn, step, axis)
+        return wide
+
+    def share_within(self, static_map: np.ndarray, clusters: ClusterPoints, ground_z_m: np.ndarray) -> np.ndarray:
+        """(K,) share of the points of each cluster within fixed things; ground_z_m: (K,) height of the road there."""
+        if not len(clusters):
+            return np.zeros(0)
+        counts = np.diff(clusters.offsets)
+        top_m = np.repeat(ground_z_m + self._body_m, counts)
+        layer = np.where(clusters.points[:, 2] >= top_m, HIGH, LOW)
+        within = static_map[layer, *self._cells(clusters.points)]
+        return np.asarray(np.add.reduceat(within, clusters.offsets[:-1], dtype=int) / counts)
+
+    def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Row and column (N,) of the grid for (N, 2+) x, y; places outside are in the outermost cells."""
+        return self._grid.cells(points[:, 0], points[:, 1])
+
+
+ROAD_USER_CONFIDENCE = 0.7  # from here on a cluster speaks against its place being background
+SAMPLE_EVERY = 13  # of the points, odd: so that every beam is among them
+
+
+@dataclass(frozen=True, eq=False)
+class Segmentation:
+    """A frame of N returns or places of a range image.
+
+    obstacles: what is neither background nor ground, level frame. statistics: what the sensor's health is judged by.
+    background_mask: None for a whole frame, of which no background was subtracted.
+    """
+
+    obstacles: Obstacles
+    statistics: FrameStatistics
+    background_mask: BackgroundMask | None
+
+    @property
+    def background_subtracted(self) -> bool:
+        """Whether the fixed scene has been taken away."""
+        return self.background_mask is not None
+
+    @cached_property
+    def ground(self) -> np.ndarray:
+        """(N,) bool, returns of the road."""
+        if self.background_mask is None:
+            return self.obstacles.is_ground
+        ground = self.background_mask.road.copy()
+        ground[self.background_mask.foreground] = self.obstacles.is_ground
+        return ground
+
+    @property
+    def background(self) -> np.ndarray:
+        """(N,) bool, returns of the learned fixed scene."""
+        if self.background_mask is None:
+            return np.zeros(len(self.obstacles.is_ground), bool)
+        return self.background_mask.mask
+
+
+class Scene:
+    """Road surface and background of one sensor. One thread at a time.
+
+    stored: background of an earlier run. It is dropped if it was learned with other grids.
+    """
+
+    def __init__(self, config: InfraLidarConfig, monitor: CalibrationMonitor, stored: BackgroundModel | None) -> None:
+        self._config = config
+        self._monitor = monitor
+        self.ground = Ground(config.ground, config.blindness.near_m)
+        self._static_map = StaticMap(config.clustering, config.ground.range_max_m)
+        self.background = Background(config.background, self._on_these_grids(stored))
+        self._beams, self._sectors = 0, 0
+        self._complete = True
+
+    def segment(self, stamp_ns: int, returns: Returns, calibration: Calibration, complete: bool = True) -> Segmentation:
+        """Segment the returns of a revolution; there are no obstacles while the calibration is refused.
+
+        ``complete``: the whole circle is there; only then the sensor is compared with what it saw before.
+        """
+        self._complete = complete and not calibration.refused
+        if calibration.refused:
+            return _nothing(returns)
+        foreground = self._subtract_background(returns)
+        if foreground is None:
+            return self._segment_whole(stamp_ns, returns, calibration)
+        return self._segment_foreground(stamp_ns, returns, foreground, calibration)
+
+    def learn(
+        self, stamp_ns: int, returns: Returns, segmentation: Segmentation, road_user: np.ndarray
+    ) -> np.ndarray | None:
+        """Teach the background a whole frame; road_user: (N,) float32 confidence that a point is of a road user.
+
+        Returns (N,) bool, the points that are background from now on, when this frame ended the learning; else None.
+        """
+        ready = self._config.background.enabled and self._monitor.settled and self._complete
+        if not ready or segmentation.background_subtracted:
+            return None
+        if self.background.lost:
+            self.background.restart()
+        if self.background.model is not None:
+            return None
+        is_road_user = road_user >= ROAD_USER_CONFIDENCE
+        users = self.background.learn(stamp_ns, returns, segmentation.ground, is_road_user, self.ground.surface)
+        if self.background.model is None or users is None:
+            return None
+        static_map = self._static_map.draw(segmentation.obstacles, (road_user > 0.0) | users)  # the unsure may leave
+        self.background.model = replace(self.background.model, static_map=static_map)
+        foreground = self.background.subtract_background(returns, self._config.blindness.near_m)
+        if foreground is None:
+            return np.zeros(len(returns), bool)
+        return BackgroundMask(returns, self.background.model, foreground.index).mask
+
+    def mark_static(
+        self, segmentation: Segmentation, clusters: ClusterPoints, ground_z_m: np.ndarray, classes: np.ndarray
+    ) -> None:
+        """Write background into classes (K,) int64 where clusters lie within fixed things; none do in whole frames.
+
+        ground_z_m: (K,) float32 height of the local road (m), level frame.
+        """
+        model = self.background.model
+        if segmentation.background_subtracted and model is not None and model.static_map.size:
+            share = self._static_map.share_within(model.static_map, clusters, ground_z_m)
+            classes[share >= MIN_SHARE] = BACKGROUND
+
+    def restart(self) -> None:
+        """Forget the background: the sensor has been moved or turned."""
+        self.background.restart()
+
+    def _on_these_grids(self, stored: BackgroundModel | None) -> BackgroundModel | None:
+        """A stored background, unless it was learned with other cells of the ground or of the clusters."""
+        if stored is None or stored.surface.shape != self.ground.surface.shape:
+            return None
+        return stored if self._static_map.fits(stored.static_map) else None
+
+    def _subtract_background(self, returns: Returns) -> Foreground | None:
+        if not self._config.background.enabled or not self._monitor.settled:
+            return None
+        self.background.match_stored_model(returns)
+        return self.background.subtract_background(returns, self._config.blindness.near_m)
+
+    def _segment_whole(self, stamp_ns: int, returns: Returns, calibration: Calibration) -> Segmentation:
+        levelled = self.ground.level_only(points_of(returns), calibration.T_level_sensor)
+        obstacles = self.ground.remove_levelled(levelled)
+        self._watch_sensor(stamp_ns, sample_of(returns, SAMPLE_EVERY), levelled)
+        return Segmentation(
+            obstacles, FrameStatistics(levelled.returns, levelled.near, self._beams, self._sectors), None
+        )
+
+    def _segment_foreground(
+        self, stamp_ns: int, returns: Returns, foreground: Foreground, calibration: Calibration
+    ) -> Segmentation:
+        model, T = self.background.model, calibration.T_level_sensor
+        assert model is not None
+        if self._monitor.due(stamp_ns):  # now and then background is looked at, too
+            sample = sample_of(returns, SAMPLE_EVERY)
+            self._watch_sensor(stamp_ns, sample, self.ground.level_only(sample, T))
+        obstacles = self.ground.remove_ground_with_map(foreground.points, foreground.index, T, model.surface)
+        statistics = FrameStatistics(foreground.returns, foreground.near, self._beams, self._sectors)
+        return Segmentation(obstacles, statistics, BackgroundMask(returns, model, foreground.index))
+
+    def _watch_sensor(self, stamp_ns: int, sample: np.ndarray, levelled: Levelled) -> None:
+        """Count the beams in a sample of the points and the sectors of levelled points; watch for a nudge."""
+        if not self._complete:
+            return
+        self._beams = _beams_in(sample)
+        self._sectors = self.ground.sectors_seen(levelled)
+        if self._monitor.due(stamp_ns):
+            self._monitor.monitor(stamp_ns, np.stack((levelled.x, levelled.y, levelled.z), axis=1))
+
+
+def _nothing(returns: Returns) -> Segmentation:
+    empty = Obstacles(np.empty((0, 4), np.float32), np.empty(0, np.int32), np.zeros(len(returns), bool))
+    return Segmentation(empty, FrameStatistics(count_of(returns), 0, 0, 0), None)
+
+
+def _beams_in(points: np.ndarray) -> int:
+    """Number of different rings, the fifth column of (N, C) float32 points; 0 where there is none."""
+    if points.shape[1] < 5:
+        return 0
+    return int(np.count_nonzero(np.bincount(points[:, 4].astype(np.uint8), minlength=1)))

@@ -1,0 +1,124 @@
+"""Which detection belongs to which track: gate, cost, Hungarian assignment.
+
+Cost of a pair = d2 + ln det S - w ln(p + 0.02). d2 is the squared Mahalanobis distance of the innovation and has to
+pass the gate. ln det S keeps an uncertain track from winning every tie. p is the probability that track and detection
+are of one class, so another class adds cost and is not forbidden. The article's cost is a setting: the Mahalanobis
+distance alone, and another class is forbidden.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from services.infra_lidar.jit import kernel
+from services.infra_lidar.tracking.config import TrackingSettings
+from services.infra_lidar.tracking.detections import DetectionRecord
+from services.infra_lidar.tracking.kalman import TrackRecord, innovation
+
+FORBIDDEN = 1e6
+
+
+class Pairs(NamedTuple):
+    """(P,) pairs within the gate: index of the track, index of the detection, cost."""
+
+    track: np.ndarray
+    detection: np.ndarray
+    cost: np.ndarray
+
+
+class Matches(NamedTuple):
+    """(M,) assigned pairs: index of the track, index of the detection; each at most once."""
+
+    track: np.ndarray
+    detection: np.ndarray
+
+
+def assign(pairs: Pairs) -> Matches:
+    """As many of the pairs as possible, and of these assignments the one of least total cost (Hungarian).
+
+    Pairs without an alternative are taken at once: usually most, so that the cost matrix of the others is small.
+    """
+    is_lone = (np.bincount(pairs.track)[pairs.track] == 1) & (np.bincount(pairs.detection)[pairs.detection] == 1)
+    lone_track, lone_detection = pairs.track[is_lone], pairs.detection[is_lone]
+    if is_lone.all():
+        return Matches(lone_track, lone_detection)
+    contested = Pairs(*(column[~is_lone] for column in pairs))
+    tracks, detections = (np.flatnonzero(np.bincount(index)) for index in (contested.track, contested.detection))
+    costs = np.full((len(tracks), len(detections)), FORBIDDEN)
+    costs[tracks.searchsorted(contested.track), detections.searchsorted(contested.detection)] = contested.cost
+    rows, columns = linear_sum_assignment(costs)
+    allowed = costs[rows, columns] < FORBIDDEN
+    return Matches(
+        np.concatenate((lone_track, tracks[rows[allowed]])),
+        np.concatenate((lone_detection, detections[columns[allowed]])),
+    )
+
+
+@kernel
+def gated_pairs(tracks: np.ndarray, detections: np.ndarray, settings: TrackingSettings) -> Pairs:
+    """All pairs of tracks (N,) and detections (K,) within the gate, by track."""
+    count = len(detections)
+    x, y, half_extent = np.empty(count), np.empty(count), np.zeros(count)
+    for d in range(count):
+        x[d], y[d] = detections[d].position[0], detections[d].position[1]
+        if settings.visible:
+            half_extent[d] = 0.5 * (detections[d].size[0] + detections[d].size[1])
+    room, count = len(tracks) * len(detections), 0
+    pairs = Pairs(np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room))
+    for t in range(len(tracks)):
+        reach, mean = _reach(tracks[t], settings), tracks[t].mean
+        for d in range(len(detections)):
+            if max(abs(x[d] - mean[0]), abs(y[d] - mean[1])) > reach + half_extent[d]:
+                continue
+            cost = _pair_cost(tracks[t], detections[d], settings)
+            if cost < FORBIDDEN:
+                pairs.track[count], pairs.detection[count], pairs.cost[count] = t, d, cost
+                count += 1
+    return Pairs(pairs.track[:count], pairs.detection[:count], pairs.cost[:count])
+
+
+@kernel
+def _reach(track: TrackRecord, settings: TrackingSettings) -> float:
+    """Upper bound of the distance from the track, along x or y, of a point-like detection that passes the gate (m)."""
+    own = 0.5 * (track.size[0] + track.size[1]) if settings.visible else 0.0
+    variance = max(track.cov[0, 0], track.cov[1, 1]) + settings.position_sigma_m * settings.position_sigma_m
+    return own + 1.45 * math.sqrt(variance * settings.gate)
+
+
+@kernel
+def _pair_cost(track: TrackRecord, detection: DetectionRecord, settings: TrackingSettings) -> float:
+    """Cost of one pair, ``FORBIDDEN`` outside the gate."""
+    if settings.same_class_only and detection.label != track.label:
+        return FORBIDDEN
+    if settings.visible and size_mismatch(track.size, detection.size):
+        return FORBIDDEN
+    e, cov = innovation(track, detection, settings), track.cov
+    sxx, sxy, syy, szz = cov[0, 0] + e.r_xx, cov[0, 1] + e.r_xy, cov[1, 1] + e.r_yy, cov[2, 2] + e.r_zz
+    det = sxx * syy - sxy * sxy
+    d2 = (e.x * e.x * syy - 2.0 * e.x * e.y * sxy + e.y * e.y * sxx) / det + e.z * e.z / szz
+    if d2 > settings.gate:
+        return FORBIDDEN
+    if settings.distance_only:
+        return math.sqrt(d2)
+    return d2 + math.log(det * szz) - settings.class_weight * math.log(class_agreement(track, detection) + 0.02)
+
+
+@kernel
+def class_agreement(track: TrackRecord, detection: DetectionRecord) -> float:
+    """Probability that track and detection are of one class; 0 for a track without votes."""
+    same = total = 0.0
+    for c in range(len(track.votes)):
+        same += track.votes[c] * detection.class_probabilities[c]
+        total += track.votes[c]
+    return same / total if total > 0.0 else 0.0
+
+
+@kernel
+def size_mismatch(known: np.ndarray, measured: np.ndarray) -> bool:
+    """A track may lose most of its visible part, but does not become several times as large from one frame to the
+    next."""
+    return max(measured[0], measured[1]) > 2.5 * max(known[0], known[1]) + 1.0

@@ -1,0 +1,187 @@
+"""Train the forest: clusters -> features -> scikit-learn forest -> plain arrays, calibrated on held-out groups.
+
+Needs the ``train`` extra; nothing at run time imports this module.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from sklearn.ensemble import RandomForestClassifier
+from sklearn.isotonic import IsotonicRegression
+from sklearn.model_selection import GroupKFold
+
+from services.infra_lidar.classification.classes import CLASSES
+from services.infra_lidar.classification.forest import Forest
+from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.training.article_features import FEATURE_SETS, compute_features
+from services.infra_lidar.training.clusters import (
+    LabelledClusters,
+    join_clusters,
+)
+from services.infra_lidar.training.folders import expect_classes, read_part
+from services.infra_lidar.training.held_out import held_out_table
+from services.infra_lidar.training.scenes import Steps, scene_clusters
+from services.infra_lidar.training.varied import generated_clusters
+
+BODY_WEIGHT = 0.4  # of a single body against a cluster of a street: bodies are many and of no street's shares
+_BACKGROUND = 2  # generated fixtures per body of any class: the street has more kinds of things than of road users
+
+
+def training_set(
+    folder: Path | None, scenes: int, bodies: int, seed: int
+) -> tuple[LabelledClusters, np.ndarray, dict[str, Any]]:
+    """Clusters, the weight of each (K,), and the story of where they come from, for the model's header."""
+    if folder:
+        clusters = read_part(folder, "train")
+        expect_classes(clusters, folder / "train")
+        return clusters, np.ones(len(clusters)), {"source": "labelled clusters", "folder": folder.name}
+    parts = [scene_clusters(range(seed, seed + scenes), Steps.of(InfraLidarConfig()), frames=3)]
+    if bodies:
+        parts.append(generated_clusters(seed, bodies, background=_BACKGROUND))
+    story = {"source": "generated roadside scenes and single bodies", "scenes": [seed, seed + scenes - 1]}
+    weight = np.where(np.arange(sum(map(len, parts))) < len(parts[0]), 1.0, BODY_WEIGHT)
+    made = {"bodies_per_class": bodies, "body_weight": BODY_WEIGHT, "frames_per_scene": 3}
+    return join_clusters(parts), weight, story | made
+
+
+def test_set(folder: Path | None, scenes: int, seed: int) -> LabelledClusters:
+    """Clusters of groups that ``training_set`` does not use."""
+    if folder:
+        return read_part(folder, "test")
+    return scene_clusters(range(seed, seed + scenes), Steps.of(InfraLidarConfig()), frames=3)
+
+
+def small_forest(clusters: LabelledClusters, feature_set: str) -> Forest:
+    """The article's forest without limit on the leaves, for comparing feature sets."""
+    return train_forest(clusters, feature_set, {"source": "ablation"})
+
+
+CALIBRATION_POINTS = 33
+
+
+@dataclass(frozen=True)
+class ForestSettings:
+    """The article's are the defaults; ``max_leaves`` per tree bounds the file."""
+
+    trees: int = 100
+    max_depth: int = 20
+    min_leaf: int = 5
+    max_leaves: int | None = None
+    seed: int = 42
+    balanced: bool = True  # classes weigh the same in the trees; the calibration undoes it in the probabilities
+
+
+ARTICLE = ForestSettings()
+
+
+def train_forest(
+    clusters: LabelledClusters, feature_set: str, provenance: dict[str, Any], settings: ForestSettings = ARTICLE,
+    tell: Callable[[str], object] | None = None, weight: np.ndarray | None = None,
+) -> Forest:  # fmt: skip
+    """Fit on all clusters, each of ``weight`` (K,); calibrate with predictions for groups that were left out.
+
+    ``tell`` gets the lines of ``held_out_table``.
+    """
+    names = FEATURE_SETS[feature_set]
+    x = compute_features(clusters.points, clusters.offsets, clusters.ground_z_m, names)
+
+    def fit(rows: np.ndarray) -> RandomForestClassifier:
+        model = RandomForestClassifier(
+            settings.trees, max_depth=settings.max_depth, min_samples_leaf=settings.min_leaf,
+            max_leaf_nodes=settings.max_leaves, class_weight="balanced" if settings.balanced else None,
+            random_state=settings.seed, n_jobs=1,
+        )  # fmt: skip
+        return model.fit(x[rows], clusters.labels[rows], None if weight is None else weight[rows])
+
+    held_out = out_of_group_shares(fit, x, clusters)
+    curve_x, curve_y = calibrate(held_out, clusters.labels)
+    if tell is not None:
+        for line in held_out_table(held_out, curve_x, curve_y, clusters):
+            tell(line)
+    counts = {name: int(np.sum(clusters.labels == c)) for c, name in enumerate(CLASSES)}
+    made = {"feature_set": feature_set, "clusters": counts, "trees": settings.trees, "seed": settings.seed}
+    return flatten(fit(np.arange(len(x))), names, curve_x, curve_y, {**provenance, **made})
+
+
+def out_of_group_shares(fit: Any, x: np.ndarray, clusters: LabelledClusters, folds: int = 4) -> np.ndarray:
+    """(K, C) class shares of every cluster by a forest that saw nothing of its group."""
+    shares = np.zeros((len(x), len(CLASSES)))
+    folds = min(folds, len(np.unique(clusters.groups)))
+    if folds < 2:
+        raise ValueError("training needs clusters of at least two groups")
+    for inside, outside in GroupKFold(folds).split(x, groups=clusters.groups):
+        model = fit(inside)
+        shares[np.ix_(outside, model.classes_)] = model.predict_proba(x[outside])
+    return shares
+
+
+def calibrate(shares: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Per class a rising curve from forest share to frequency, (C, B) each; the identity where a class is missing."""
+    grid = np.linspace(0.0, 1.0, CALIBRATION_POINTS)
+    curves = np.tile(grid, (len(CLASSES), 1))
+    for c in range(len(CLASSES)):
+        if np.any(labels == c) and np.any(labels != c):
+            line = IsotonicRegression(y_min=0.0, y_max=1.0, out_of_bounds="clip").fit(shares[:, c], labels == c)
+            curves[c] = line.predict(grid)
+    return np.tile(grid, (len(CLASSES), 1)).astype(np.float32), curves.astype(np.float32)
+
+
+def flatten(
+    model: RandomForestClassifier, names: tuple[str, ...], curve_x: np.ndarray, curve_y: np.ndarray,
+    provenance: dict[str, Any],
+) -> Forest:  # fmt: skip
+    """The trees of a fitted forest as one set of arrays; curve_x, curve_y (C, B) are its calibration."""
+    parts = [_flatten_tree(estimator.tree_, model.classes_) for estimator in model.estimators_]
+    root = np.cumsum([0, *(len(part["left"]) for part in parts)])[:-1]
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    first = np.repeat(root, [len(part["left"]) for part in parts])
+    value, row = distinct(joined["value"].astype(np.float32))
+    return Forest(
+        feature=joined["feature"].astype(np.int32),
+        threshold=joined["threshold"].astype(np.float32),
+        left=(joined["left"] + first).astype(np.int32),
+        right=(joined["right"] + first).astype(np.int32),
+        leaf=row.astype(np.int32),
+        value=value,
+        root=root.astype(np.int32),
+        calibration_x=curve_x,
+        calibration_y=curve_y,
+        classes=CLASSES,
+        features=names,
+        provenance=provenance,
+    )
+
+
+def distinct(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The different rows of (L, C), frequent ones first, and (L,) the index of each row among them: many leaves of a
+    forest have equal shares, and a small table stays in the caches."""
+    rows, which, count = np.unique(value, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(-count, kind="stable")
+    return rows[order], np.argsort(order, kind="stable")[which.ravel()]
+
+
+def _flatten_tree(tree: Any, present: np.ndarray) -> dict[str, np.ndarray]:
+    """The nodes of one scikit-learn tree, (N,) each, and their class shares (N, C); a leaf is its own child."""
+    own, leaves = np.arange(tree.node_count), tree.children_left < 0
+    shares = np.zeros((tree.node_count, len(CLASSES)))
+    counts = tree.value[:, 0]
+    shares[:, present] = counts / counts.sum(axis=1, keepdims=True)
+    return {
+        "feature": np.where(leaves, 0, tree.feature),
+        # sklearn compares a float32 with a float64 threshold (x <= t): rounding t down keeps every decision.
+        "threshold": np.where(leaves, np.inf, _round_down(tree.threshold)),
+        "left": np.where(leaves, own, tree.children_left),
+        "right": np.where(leaves, own, tree.children_right),
+        "value": np.where(leaves[:, None], shares, shares[leaves][0]),  # those of inner nodes are never read
+    }
+
+
+def _round_down(threshold: np.ndarray) -> np.ndarray:
+    """The largest float32 that is not above."""
+    near = threshold.astype(np.float32)
+    return np.where(near > threshold, np.nextafter(near, np.float32(-np.inf)), near)

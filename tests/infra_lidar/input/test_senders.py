@@ -1,0 +1,121 @@
+"""`spotter-infra-lidar look FILE_OR_PORT`: what it says of captures and ports."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from common.bus.status import Report
+from common.config import ConfigError
+from services.infra_lidar.input.captures import Datagram
+from services.infra_lidar.input.live_packets import Receiver
+from services.infra_lidar.input.senders import describe, listen
+from services.infra_lidar.input.velodyne import Vls128Parser
+from tests.infra_lidar.made_packets import vls_packet
+
+
+def sent(packets: list[bytes], sender: str = "192.168.1.201", port: int = 2368) -> list[Datagram]:
+    return [Datagram(166_000 * k, sender, port, packet) for k, packet in enumerate(packets)]
+
+
+def turns(count: int) -> list[bytes]:
+    return [vls_packet((0.6 * k) % 360, time_us=166 * k) for k in range(600 * count + 1)]
+
+
+def test_a_sensor_in_a_capture_with_rate_returns_and_source() -> None:
+    packets = turns(3)
+    del packets[700:710]
+    lines = list(describe(sent(packets), Path("street.pcap")))
+    assert lines[0] == "Velodyne VLS-128 at 192.168.1.201, port 2368: 6027 packets a second of 1206 bytes"
+    assert "10.1 turns a second" in lines[1]
+    assert "packets lost 10, doubled 0, late 0" in lines[1]
+    assert lines[2].strip() == 'source = "file:street.pcap?from=192.168.1.201&port=2368"'
+
+
+def test_several_sensors_and_what_is_not_supported() -> None:
+    velarray = sent([vls_packet(0.0, product=0x22)] * 5, "192.168.1.7")
+    lines = list(describe([*sent(turns(2)), *velarray], None))
+    assert any(line.strip() == 'source = "velodyne://:2368?from=192.168.1.201"' for line in lines)
+    assert any("Velodyne VLP-16 at 192.168.1.7, port 2368 (not supported)" in line for line in lines)
+
+
+def test_nothing_that_we_know() -> None:
+    assert list(describe(sent([b"x"] * 7), None)) == ["no packets of a lidar that we know among 7 datagrams"]
+    assert list(describe([], None)) == ["no packets of a lidar that we know"]
+
+
+def test_a_port_is_listened_to(free_ports: Callable[[], int]) -> None:
+    free_port = free_ports()
+    stop = threading.Event()
+
+    def speak() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            while not stop.wait(0.01):
+                sender.sendto(vls_packet(0.0), ("127.0.0.1", free_port))
+
+    thread = threading.Thread(target=speak)
+    thread.start()
+    try:
+        heard = next(listen(free_port, 20.0))
+    finally:
+        stop.set()
+        thread.join()
+    assert (heard.sender, heard.port) == ("127.0.0.1", free_port)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("", free_port))
+        with pytest.raises(ConfigError, match="cannot listen on UDP port"):
+            next(listen(free_port, 0.2))
+
+
+def test_a_foreign_sensor_on_the_port_is_named(until) -> None:  # type: ignore[no-untyped-def]
+    report = Report("test")
+    receiver = Receiver("127.0.0.1", 0, Vls128Parser(), report)
+    try:
+        assert receiver.why_nothing().startswith("no packets on UDP port")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(vls_packet(0.0, product=0x22), ("127.0.0.1", receiver.port))
+            until(lambda: report.snapshot().counters.get("packet of another kind") == 1)
+        assert "but of Velodyne VLP-16 at 127.0.0.1" in receiver.why_nothing()
+    finally:
+        receiver.close()
+
+
+def test_only_the_configured_sender_is_listened_to(until) -> None:  # type: ignore[no-untyped-def]
+    report = Report("test")
+    receiver = Receiver("", 0, Vls128Parser(), report, sender="127.0.0.2")
+    try:
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as right,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as wrong,
+        ):
+            right.bind(("127.0.0.2", 0))
+            wrong.bind(("127.0.0.3", 0))
+            for k in range(0, 130):
+                for sender in (right, wrong):
+                    packet = vls_packet((3 * k) % 360, time_us=166 * k + (sender is wrong))
+                    sender.sendto(packet, ("127.0.0.1", receiver.port))
+            revolution = receiver.next(20.0)
+        assert revolution is not None
+        assert len(revolution.packets) <= 121
+        until(lambda: report.snapshot().counters.get("packet of another sensor") == 130)
+    finally:
+        receiver.close()
+
+
+def test_a_multicast_group_is_joined(until) -> None:  # type: ignore[no-untyped-def]
+    report = Report("test")
+    receiver = Receiver("239.255.12.34", 0, Vls128Parser(), report)
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
+            try:
+                sender.sendto(b"a stranger", ("239.255.12.34", receiver.port))
+            except OSError as error:
+                pytest.skip(f"no way to a multicast group here: {error}")
+            until(lambda: report.snapshot().counters.get("packet of another kind") == 1)
+    finally:
+        receiver.close()

@@ -1,0 +1,101 @@
+"""Clusters within fixed things are told from those beside them."""
+
+import numpy as np
+import pytest
+
+from services.infra_lidar.clustering.clustering import ClusterPoints
+from services.infra_lidar.clustering.grid import CellGrid
+from services.infra_lidar.config import ClusteringConfig
+from services.infra_lidar.segmentation.ground import Obstacles
+from services.infra_lidar.segmentation.scene import MIN_SHARE, StaticMap
+
+CONFIG = ClusteringConfig()
+
+
+def _obstacles(*parts):
+    xyz = np.vstack(parts).astype(np.float32)
+    n = len(xyz)
+    return Obstacles(np.column_stack((xyz, xyz[:, 2])), np.arange(n, dtype=np.int32), np.zeros(n, bool))
+
+
+def _clusters(points, counts):
+    offsets = np.append(0, np.cumsum(counts)).astype(np.int32)
+    members = np.arange(len(points), dtype=np.int32)
+    box = np.zeros((len(counts), 8), np.float32)
+    return ClusterPoints(points=points.astype(np.float32), members=members, offsets=offsets, box=box)
+
+
+def _solid(x, y, length, width, low, high, n, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform([x - length / 2, y - width / 2, low], [x + length / 2, y + width / 2, high], (n, 3))
+
+
+def _is_within(drawn, part):
+    share = StaticMap(CONFIG, 100.0).share_within(drawn, _clusters(part, [len(part)]), np.zeros(1, np.float32))
+    return share[0] >= MIN_SHARE
+
+
+HEDGE = _solid(20, 0, 3, 12, 0.2, 2.0, 6000)
+CANOPY = _solid(12, 20, 8, 8, 2.6, 4.5, 6000)
+PARKED = _solid(10, -10, 4, 1.8, 0.2, 1.5, 800)
+
+
+def _drawn():
+    obstacles = _obstacles(HEDGE, CANOPY, PARKED)
+    road_user = np.zeros(len(obstacles), bool)
+    road_user[-len(PARKED) :] = True
+    return StaticMap(CONFIG, 100.0).draw(obstacles, road_user)
+
+
+def test_a_piece_of_the_hedge_is_structure_and_a_person_before_it_is_not():
+    assert _is_within(_drawn(), _solid(20, 2, 1.0, 1.0, 0.4, 1.8, 80, seed=1))
+    assert not _is_within(_drawn(), _solid(17.6, 2, 0.5, 0.5, 0.2, 1.7, 80, seed=1))
+
+
+def test_a_car_under_a_tree_is_no_part_of_the_tree():
+    assert not _is_within(_drawn(), _solid(12, 20, 4.2, 1.8, 0.2, 1.5, 400, seed=2))
+    assert _is_within(_drawn(), _solid(12, 20, 3.0, 3.0, 2.7, 4.0, 400, seed=2))
+
+
+def test_a_large_cluster_is_judged_by_all_of_its_length():
+    assert _is_within(_drawn(), _solid(20, 0, 2.5, 11, 0.2, 1.9, 9000, seed=3))
+    assert not _is_within(_drawn(), _solid(20, 10, 2.5, 13, 0.2, 1.9, 9000, seed=3))  # a fifth of it is hedge
+
+
+def test_what_was_a_road_user_is_not_drawn():
+    assert not _is_within(_drawn(), PARKED)
+
+
+def test_no_clusters():
+    share = StaticMap(CONFIG, 100.0).share_within(_drawn(), _clusters(np.zeros((0, 3)), []), np.zeros(0, np.float32))
+    assert share.shape == (0,)
+
+
+@pytest.mark.parametrize("growth_m", [0.0, 30.0])
+def test_the_share_counts_the_points_on_marked_cells_of_their_layer(growth_m):
+    rng = np.random.default_rng(4)
+    config = ClusteringConfig(cell_growth_m=growth_m)
+    side, body_m = CellGrid(config, 100.0).side, config.body_height_m
+    static_map = rng.random((2, side, side)) < MIN_SHARE
+    counts = rng.integers(1, 80, 300)
+    points = rng.uniform([-140, -140, 0], [140, 140, 4], (counts.sum(), 3)).astype(np.float32)  # some beyond the grid
+    road_z_m = rng.uniform(-1, 1, len(counts)).astype(np.float32)
+
+    radius, c = np.hypot(points[:, 0], points[:, 1]), config.cell_m
+    stretch = growth_m * np.log1p(radius / growth_m) / radius if growth_m else np.ones(len(points))
+    column, row = (np.floor(points[:, k] * stretch / c).astype(int) + side // 2 for k in (0, 1))
+    layer = (points[:, 2] >= np.repeat(road_z_m + body_m, counts)).astype(int)
+    hit = static_map[layer, np.clip(row, 0, side - 1), np.clip(column, 0, side - 1)]
+    expected = [part.mean() for part in np.split(hit, np.cumsum(counts)[:-1])]
+    share = StaticMap(config, 100.0).share_within(static_map, _clusters(points, counts), road_z_m)
+    apart = np.abs(share - expected) * counts  # a point on the edge of a cell may go either way
+    assert apart.max() < 1.5
+    assert apart.mean() < 0.02
+
+
+def test_a_map_of_other_cells_is_not_taken():
+    drawn = _drawn()
+    assert StaticMap(CONFIG, 100.0).fits(drawn)
+    assert StaticMap(CONFIG, 100.0).fits(drawn[:, :0])
+    assert not StaticMap(CONFIG, 60.0).fits(drawn)
+    assert not StaticMap(CONFIG, 100.0).fits(drawn.astype(np.int32))

@@ -1,0 +1,82 @@
+"""Gate, cost and assignment against plain formulas and scipy on the whole matrix."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as how
+from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
+
+from services.infra_lidar.tracking.association import FORBIDDEN, Pairs, assign, gated_pairs
+from services.infra_lidar.tracking.config import TrackingConfig, kernel_settings
+from services.infra_lidar.tracking.detections import DETECTION
+from services.infra_lidar.tracking.kalman import TRACK
+
+
+def tracks_at(rng: np.random.Generator, count: int) -> np.ndarray:
+    tracks = np.zeros(count, TRACK)
+    tracks["mean"], tracks["size"], tracks["votes"] = rng.normal(0, 5, (count, 6)), 1.0, rng.random((count, 5))
+    root = rng.normal(0, 1, (count, 2, 2))
+    tracks["cov"][:, :2, :2] = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(2)
+    tracks["cov"][:, 2, 2] = rng.uniform(0.1, 2.0, count)
+    return tracks
+
+
+def test_pair_costs_equal_the_formula_written_out() -> None:
+    rng = np.random.default_rng(2)
+    tracks, seen = tracks_at(rng, 6), np.zeros(4, DETECTION)
+    seen["position"] = tracks["mean"][:4, :3] + rng.normal(0, 0.4, (4, 3))
+    seen["class_probabilities"] = rng.dirichlet(np.ones(5), 4)
+    pairs = gated_pairs(tracks, seen, kernel_settings(TrackingConfig(boxes="full", position_sigma_m=0.2)))
+    got = np.full((6, 4), FORBIDDEN)
+    got[pairs.track, pairs.detection] = pairs.cost
+    for t, track in enumerate(tracks):
+        for d in range(4):
+            S = track["cov"][:3, :3] + np.diag([0.04, 0.04, 0.09])
+            e = seen["position"][d] - track["mean"][:3]
+            d2 = e @ np.linalg.solve(S, e)
+            same = track["votes"] @ seen["class_probabilities"][d] / track["votes"].sum()
+            expected = d2 + np.log(np.linalg.det(S)) - np.log(same + 0.02) if d2 <= 7.81 else FORBIDDEN
+            assert got[t, d] == pytest.approx(expected)
+
+
+def test_all_pairs_may_be_within_the_gate() -> None:
+    tracks, seen = tracks_at(np.random.default_rng(5), 30), np.zeros(40, DETECTION)
+    tracks["mean"][:], seen["class_probabilities"] = 0.0, 0.2
+    pairs = gated_pairs(tracks, seen, kernel_settings(TrackingConfig(boxes="full")))
+    assert sorted(zip(*(column.tolist() for column in pairs[:2]), strict=True)) == [*np.ndindex(30, 40)]
+
+
+def test_a_track_without_votes_can_still_be_matched() -> None:
+    """Unknown objects have none where only the labelled class is voted for."""
+    tracks, seen = tracks_at(np.random.default_rng(6), 1), np.zeros(1, DETECTION)
+    tracks["votes"], seen["position"], seen["class_probabilities"] = 0.0, tracks["mean"][:, :3], 0.2
+    assert len(gated_pairs(tracks, seen, kernel_settings(TrackingConfig(votes="mean"))).cost) == 1
+
+
+def matches_of(cost: np.ndarray) -> dict[int, int]:
+    track, detection = np.nonzero(cost < FORBIDDEN)
+    matches = assign(Pairs(track, detection, cost[track, detection]))
+    return dict(zip(matches.track.tolist(), matches.detection.tolist(), strict=True))
+
+
+def test_assignment_takes_the_least_total_cost() -> None:
+    no = FORBIDDEN
+    assert matches_of(np.array([[1.0, 2.0, no], [1.5, no, no], [no, no, no]])) == {0: 1, 1: 0}
+    assert matches_of(np.array([[1.0, 5.0], [2.0, 2.0]])) == {0: 0, 1: 1}
+    assert matches_of(np.empty((0, 5))) == {}
+
+
+@how(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 100_000), n=st.integers(0, 9), k=st.integers(0, 9), share=st.floats(0.0, 1.0))
+def test_pairs_without_an_alternative_may_be_taken_at_once(seed: int, n: int, k: int, share: float) -> None:
+    """As many pairs, and the same total cost, as scipy finds in the whole matrix."""
+    rng = np.random.default_rng(seed)
+    cost = np.where(rng.random((n, k)) < share, rng.normal(0, 3, (n, k)), FORBIDDEN)
+    matches = matches_of(cost)
+    r, c = linear_sum_assignment(cost)
+    allowed = cost[r, c] < FORBIDDEN
+    assert len(set(matches.values())) == len(matches) == allowed.sum()
+    assert sum(cost[pair] for pair in matches.items()) == pytest.approx(cost[r, c][allowed].sum())
