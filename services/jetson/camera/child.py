@@ -27,6 +27,10 @@ class CaptureLost(OSError):
     """The child has ended, or has been silent for too long; the text says which and what it said last."""
 
 
+class CaptureSilent(CaptureLost):
+    """The child runs, and has been silent for too long."""
+
+
 class CaptureChild:
     """One run of the child. ``read`` returns the next frame; leaving the ``with`` ends the child for certain."""
 
@@ -101,7 +105,7 @@ class CaptureChild:
         left_s = deadline_s - monotonic_s()
         ready = self._selector.select(left_s) if left_s > 0 else []
         if not ready:
-            raise CaptureLost(f"no whole picture for {timeout_s:g} s{self._last_words()}")
+            raise CaptureSilent(f"no whole picture for {timeout_s:g} s{self._last_words()}")
         if any(key.fd == self._err for key, _ in ready):
             self._read_stderr()
 

@@ -1,26 +1,30 @@
-"""Picture -> boxes, with any ONNX network in the YOLOv8 output layout.
-
-Layout: one input (1, 3, H, W) RGB in 0..1; one output (1, 4 + classes, N) whose columns are candidates: centre x,
-centre y, width, height in input pixels, then one score in 0..1 per class. No non-maximum suppression inside.
-"""
+"""Picture -> boxes, with any ONNX network in a layout of ``network.py``."""
 
 from __future__ import annotations
 
-import ast
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
 import onnxruntime
 from onnxruntime.capi import onnxruntime_pybind11_state as ort_errors
 
-from common.config import ConfigError
 from services.jetson.camera.config import DetectorConfig
 from services.jetson.camera.letterbox import Fit, letterbox, undo
+from services.jetson.camera.network import (
+    EXPECTED,
+    EXPORT,
+    Head,
+    ModelError,
+    as_candidates,
+    believed_head,
+    class_names,
+)
+from services.jetson.camera.providers import choose_providers
 
 DEMO_MODEL = Path(__file__).with_name("models") / "demo.onnx"
-EXPECTED = "one input (1, 3, H, W) and one output (1, 4 + classes, N), the layout of a YOLOv8 export without NMS"
 _LOAD_ERRORS = (
     ort_errors.Fail,
     ort_errors.InvalidArgument,
@@ -33,10 +37,6 @@ _LOAD_ERRORS = (
 _DTYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
 
 
-class ModelError(ConfigError):
-    """The model file is not what this service can run; the text says what was expected and what was found."""
-
-
 class Boxes(NamedTuple):
     """Detections of one picture, most confident first."""
 
@@ -45,21 +45,46 @@ class Boxes(NamedTuple):
     class_id: np.ndarray  # (N,) int
 
 
+class BoxFinder(Protocol):
+    """What the pipeline asks of a detector, one step after the other."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Of the classes, by ``class_id``."""
+
+    @property
+    def provider(self) -> str:
+        """What it runs on."""
+
+    def preprocess(self, image: np.ndarray) -> tuple[np.ndarray, Fit]:
+        """(H, W, 3) uint8 BGR to the input and the fit needed to map boxes back."""
+
+    def infer(self, blob: np.ndarray) -> np.ndarray:
+        """Input to raw output."""
+
+    def postprocess(self, output: np.ndarray, fit: Fit, shape: tuple[int, ...]) -> Boxes:
+        """Raw output to boxes in picture pixels."""
+
+
 class Detector:
-    """Loads and warms up the network once; ``detect`` is then called per picture."""
+    """Loads the network, proves on test pictures that its output is what it seems; ``detect`` is called per picture.
+
+    Raises:
+        ModelError: no file, no network, or one that is not understood; says what was expected and found.
+    """
 
     def __init__(self, config: DetectorConfig) -> None:
         cv2.setNumThreads(1)
         self._config = config
         self.path = Path(config.model).expanduser() if config.model else DEMO_MODEL
         self._session = _open(self.path, config)
-        self._input, self.names = _check(self._session, self.path)
+        self._input = _check_input(self._session, self.path)
         self._dtype = _DTYPES[self._input.type]
         self.height_px, self.width_px = (
             size if isinstance(size, int) else config.dynamic_input_px for size in self._input.shape[2:]
         )
+        self._head, self.names = self._prove()
         self._wanted = _wanted_classes(config.classes, self.names, self.path)
-        self._warm_up()
 
     @property
     def provider(self) -> str:
@@ -76,23 +101,41 @@ class Detector:
         return letterbox(image, self.width_px, self.height_px)
 
     def infer(self, blob: np.ndarray) -> np.ndarray:
-        """Network input to its raw output (4 + classes, N)."""
-        outputs = self._session.run(None, {self._input.name: blob.astype(self._dtype, copy=False)})
-        return np.asarray(outputs[0][0])
+        """Network input to its raw output (A, B)."""
+        return np.asarray(self._run(blob)[0])
 
     def postprocess(self, output: np.ndarray, fit: Fit, shape: tuple[int, ...]) -> Boxes:
         """Raw output to boxes in picture pixels."""
-        boxes = decode(output, self._config.confidence, self._wanted)
-        boxes = suppress(boxes, self._config.confidence, self._config.iou)
+        if self._head.layout == "end_to_end":
+            wanted = np.ones(len(self.names), bool) if self._wanted is None else self._wanted
+            boxes = decode_end_to_end(output, self._config.confidence, wanted)
+        else:
+            boxes = decode(as_candidates(output, self._head), self._config.confidence, self._wanted)
+            boxes = suppress(boxes, self._config.confidence, self._config.iou)
+        named = boxes.class_id < len(self.names)
+        boxes = Boxes(boxes.xyxy_px[named], boxes.confidence[named], boxes.class_id[named])
         return boxes._replace(xyxy_px=undo(boxes.xyxy_px, fit, shape[1], shape[0]))
 
-    def _warm_up(self) -> None:
-        """The first run compiles kernels and allocates; it also proves the output's shape."""
-        blob, _ = self.preprocess(np.zeros((self.height_px, self.width_px, 3), np.uint8))
-        shape = self.infer(blob).shape
-        if len(shape) != 2 or shape[0] != 4 + len(self.names):
-            found = f"an output of shape (1, {', '.join(map(str, shape))}) with {len(self.names)} names"
-            raise ModelError(f"{self.path}: expected {EXPECTED}; found {found}")
+    def _prove(self) -> tuple[Head, list[str]]:
+        """The layout and the class names, from the output for two test pictures. It warms the network up as well."""
+        rng = np.random.default_rng(1)
+        noise = rng.integers(0, 256, (self.height_px, self.width_px, 3), np.uint8)
+        try:
+            outputs = [self._run(self.preprocess(picture)[0]) for picture in (np.full_like(noise, 114), noise)]
+            head = believed_head(outputs, self.height_px, self.width_px)
+            names = class_names(self._session.get_modelmeta().custom_metadata_map.get("names"), head)
+        except ModelError as error:
+            raise ModelError(
+                f"{self.path}: expected {EXPECTED}; found {error}. An export that fits: {EXPORT}"
+            ) from None
+        except _LOAD_ERRORS as error:
+            first_line = str(error).splitlines()[0]
+            raise ModelError(f"{self.path}: the network fails on a test picture: {first_line}") from None
+        return head, names
+
+    def _run(self, blob: np.ndarray) -> np.ndarray:
+        outputs = self._session.run(None, {self._input.name: blob.astype(self._dtype, copy=False)})
+        return np.asarray(outputs[0])
 
 
 def decode(output: np.ndarray, confidence: float, wanted: np.ndarray | None = None) -> Boxes:
@@ -113,6 +156,19 @@ def decode(output: np.ndarray, confidence: float, wanted: np.ndarray | None = No
     if wanted is not None:
         class_id = np.flatnonzero(wanted)[class_id]
     return Boxes(np.concatenate([centre - size / 2, centre + size / 2]).T, best, class_id)
+
+
+def decode_end_to_end(rows: np.ndarray, confidence: float, wanted: np.ndarray) -> Boxes:
+    """(K, 6) rows x1, y1, x2, y2, score, class to the boxes above the confidence, the surest first.
+
+    Boxes with a value that is not finite, or with no area, are dropped. ``wanted`` (classes,) bool hides classes; the
+    last class stands for all further numbers.
+    """
+    rows = rows[np.isfinite(rows).all(axis=1)].astype(np.float32)
+    class_id = np.clip(rows[:, 5], 0, len(wanted) - 1).astype(int)
+    kept = (rows[:, 4] >= confidence) & (rows[:, 2:4] > rows[:, :2]).all(axis=1) & wanted[class_id]
+    order = np.flatnonzero(kept)[np.argsort(-rows[kept, 4], kind="stable")]
+    return Boxes(rows[order, :4], np.minimum(rows[order, 4], 1.0), class_id[order])
 
 
 def suppress(boxes: Boxes, confidence: float, iou: float) -> Boxes:
@@ -141,20 +197,15 @@ def _open(path: Path, config: DetectorConfig) -> onnxruntime.InferenceSession:
         return onnxruntime.InferenceSession(str(path), options, providers=providers)
     except _LOAD_ERRORS as error:
         first_line = str(error).splitlines()[0]
-        raise ModelError(f"{path}: expected an ONNX network; found a file that does not load: {first_line}") from None
+        raise ModelError(
+            f"{path}: expected an ONNX network; found a file that does not load: {first_line}. To make one: {EXPORT}"
+        ) from None
 
 
-def choose_providers(config: DetectorConfig, available: list[str]) -> list[tuple[str, dict[str, object]]]:
-    """What onnxruntime shall try, in the order of the configuration, with options; the CPU if nothing else is there."""
-    cache = {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(Path(config.tensorrt_cache).expanduser())}
-    options = {"TensorrtExecutionProvider": cache if config.tensorrt_cache else {}}
-    chosen = [name for name in config.providers if name in available] or ["CPUExecutionProvider"]
-    return [(name, options.get(name, {})) for name in chosen]
-
-
-def _check(session: onnxruntime.InferenceSession, path: Path) -> tuple[onnxruntime.NodeArg, list[str]]:
-    """The input and the class names, or a refusal that says what was expected and what was found."""
+def _check_input(session: onnxruntime.InferenceSession, path: Path) -> onnxruntime.NodeArg:
+    """The input, or a refusal that says what was expected and what was found. Axes of any name are free sizes."""
     inputs, outputs = session.get_inputs(), session.get_outputs()
+    task = session.get_modelmeta().custom_metadata_map.get("task", "detect")
     found = "; ".join(
         f"{kind} {node.name} {tuple(node.shape)} {node.type}"
         for kind, nodes in (("input", inputs), ("output", outputs))
@@ -164,34 +215,24 @@ def _check(session: onnxruntime.InferenceSession, path: Path) -> tuple[onnxrunti
         len(inputs) == len(outputs) == 1
         and len(inputs[0].shape) == 4
         and inputs[0].shape[1] == 3
-        and inputs[0].shape[0] in (1, None, "batch")
+        and (inputs[0].shape[0] == 1 or not isinstance(inputs[0].shape[0], int))
         and inputs[0].type in _DTYPES
-        and len(outputs[0].shape) == 3
+        and task == "detect"
     )
     if not fits:
-        raise ModelError(f"{path}: expected {EXPECTED}; found {found}")
-    rows = outputs[0].shape[1]
-    names = _names(session.get_modelmeta().custom_metadata_map.get("names"), rows)
-    if isinstance(rows, int) and rows != 4 + len(names):
-        raise ModelError(f"{path}: expected 4 + {len(names)} output rows for the names it carries; found {found}")
-    return inputs[0], names
-
-
-def _names(text: str | None, rows: object) -> list[str]:
-    """Class names from the metadata, a literal such as ``{0: 'person', 1: 'car'}``; without it "class 0", ..."""
-    if text is None:
-        return [f"class {i}" for i in range(rows - 4)] if isinstance(rows, int) else []
-    try:
-        names = ast.literal_eval(text)
-    except (ValueError, SyntaxError):
-        raise ModelError(f"expected class names such as {{0: 'person'}} in the metadata; found {text[:80]!r}") from None
-    return [str(names[i]) for i in sorted(names)] if isinstance(names, dict) else [str(name) for name in names]
+        task_text = "" if task == "detect" else f" for the task {task!r}"
+        raise ModelError(
+            f"{path}: expected {EXPECTED}, for detection; found a network{task_text} with {found}. "
+            f"An export that fits: {EXPORT}"
+        )
+    return inputs[0]
 
 
 def _wanted_classes(classes: tuple[str, ...], names: list[str], path: Path) -> np.ndarray | None:
     if not classes:
         return None
-    unknown = sorted(set(classes) - set(names))
+    asked = {name.casefold() for name in classes}
+    unknown = sorted(asked - {name.casefold() for name in names})
     if unknown:
-        raise ModelError(f"[detector] classes {unknown}: {path.name} knows {', '.join(names)}")
-    return np.array([name in classes for name in names])
+        raise ModelError(f"[detector] classes {unknown}: {path.name} knows {', '.join(names[:100])}")
+    return np.array([name.casefold() in asked for name in names])

@@ -3,7 +3,7 @@
 Depth d along the optical axis to the middle of the object, for a pinhole with focal length f_y and the horizon at
 row v0; L is how deep a vehicle is, judged from the box's aspect (0 for people and small things):
 
-* height   d = f_y * H / (bottom - top) + L / 4    the bottom belongs to the near side, the top to the middle
+* height   d = f_y * H / (bottom - top) + L/4 * (1 + C/H)   the bottom belongs to the near side, the top to the roof
 * ground   d = f_y * C / (bottom - v0) + 0.3 L     the near wheels touch the ground, C below the camera
 * top      d = f_y * (H - C) / (v0 - top)          for objects clearly taller than the camera stands
 * width    d = f_x * W / (right - left)            only when the height is cut off
@@ -11,6 +11,9 @@ row v0; L is how deep a vehicle is, judged from the box's aspect (0 for people a
 Each cue has a relative uncertainty (spread of sizes, placement of the box, nodding and slope); cues are averaged in
 1/d with inverse variances. A cue whose edge is cut off by the picture still bounds the distance: a cut box says "at
 most".
+
+The height's second term is how much nearer its edges are: bottom - top = f_y * (C / (d - L/2) + (H - C) / (d - L/4)),
+the near side on the ground and the front edge of the roof; C is 0 where it is not known.
 Single-view geometry of this kind: Hoiem, Efros and Hebert, Putting Objects in Perspective, 2006.
 """
 
@@ -19,10 +22,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from services.jetson.camera.config import ClassSize, DistanceConfig, LensConfig, MountConfig
 
+NEAR_SIGMAS = 1.64  # below the distance: nearer than that is one in twenty
+LOW_MOUNT_M = 0.25  # of a camera whose height is unknown: on a small vehicle
+AGREE_SIGMAS_OF_ANY_SIZE = 1.5  # of a class with small members (children): the foot point tells more than the height
 AGREE_SIGMAS = 3.0  # cues further apart contradict each other: the nearer is believed
 TALLER_SIGMAS = 3.0  # the top cue needs an object that is taller than the camera by this many spreads
 MIN_MOUNT_M = 0.01  # a camera lower than this has no place: it was not told
@@ -35,7 +42,7 @@ class Distance(NamedTuple):
 
     distance_m: float  # to the object's middle
     sigma_m: float
-    near_m: float  # to its nearest side
+    near_m: float  # to its nearest side, the near end of what is possible
     truncated: bool
 
 
@@ -56,16 +63,34 @@ class Cut(NamedTuple):
 
 
 def scaled(lens: LensConfig, width_px: int, height_px: int) -> LensConfig:
-    """The lens for another picture size that shows the same view, squeezed or not: rows and columns scale apart."""
-    across, down = width_px / lens.width_px, height_px / lens.height_px
+    """The lens for another picture size. Pixels stay square: another shape is the same view, cut around its middle.
+
+    A sensor's 16:9 mode is its 4:3 picture without the upper and lower rows, as wide as before; narrower shapes lose
+    columns instead.
+    """
+    wider = width_px * lens.height_px >= height_px * lens.width_px
+    scale = width_px / lens.width_px if wider else height_px / lens.height_px
     return LensConfig(
         width_px=width_px,
         height_px=height_px,
-        f_x_px=lens.f_x_px * across,
-        f_y_px=lens.f_y_px * down,
-        c_x_px=lens.c_x_px * across,
-        c_y_px=lens.c_y_px * down,
+        f_x_px=lens.f_x_px * scale,
+        f_y_px=lens.f_y_px * scale,
+        c_x_px=width_px / 2 + (lens.c_x_px - lens.width_px / 2) * scale,
+        c_y_px=height_px / 2 + (lens.c_y_px - lens.height_px / 2) * scale,
+        distortion=lens.distortion,
     )
+
+
+def undistorted(box: np.ndarray, lens: LensConfig) -> np.ndarray:
+    """The box (x1, y1, x2, y2) as a lens without distortion would show it: the middle of each edge is moved."""
+    if not any(lens.distortion):
+        return box
+    left, top, right, bottom = (float(value) for value in box)
+    across, down = (left + right) / 2, (top + bottom) / 2
+    edges = np.array([[[left, down]], [[right, down]], [[across, top]], [[across, bottom]]])
+    matrix = np.array([[lens.f_x_px, 0, lens.c_x_px], [0, lens.f_y_px, lens.c_y_px], [0, 0, 1.0]])
+    moved = cv2.undistortPoints(edges, matrix, np.array(lens.distortion), P=matrix)[:, 0]
+    return np.array([moved[0, 0], moved[2, 1], moved[1, 0], moved[3, 1]])
 
 
 def estimate(box: np.ndarray, label: str, lens: LensConfig, mount: MountConfig, config: DistanceConfig) -> Distance:
@@ -73,15 +98,41 @@ def estimate(box: np.ndarray, label: str, lens: LensConfig, mount: MountConfig, 
 
     A class without a known size is given the smallest one: the nearest it could be.
     """
-    size = config.sizes.get(label) or min(config.sizes.values(), key=lambda known: known.height_m)
-    cut = edges_cut(box, lens, config.edge)
+    size = config.size_of(label) or smallest(config)
+    cut, box = edges_cut(box, lens, config.edge), undistorted(box, lens)
     measured: list[Cue] = []
     bounds: list[Cue] = []
     for cue, is_bound in (*_vertical_cues(box, size, cut, lens, mount, config), *_width_cues(box, size, cut, lens)):
         (bounds if is_bound else measured).append(cue)
-    best = min([*bounds, *([_fuse(measured)] if measured else [])], key=lambda cue: cue.distance_m)
-    near_m = max(best.distance_m - reach_m(box, size, cut), 0.0)
+    agree = AGREE_SIGMAS_OF_ANY_SIZE if size.height_min_m else AGREE_SIGMAS
+    best = min([*bounds, *([_fuse(measured, agree)] if measured else [])], key=lambda cue: cue.distance_m)
+    near_m = _near_end_m(best, box, size, cut, lens, mount)
+    if not measured and mount.height_m >= MIN_MOUNT_M:
+        near_m = min(near_m, best.distance_m / 2)  # only "at most": as much again is taken to be out of view
+    near_m = max(near_m - reach_m(box, size, cut), 0.0)
     return Distance(best.distance_m, best.distance_m * best.relative_sigma, near_m, any(cut))
+
+
+def smallest(config: DistanceConfig) -> ClassSize:
+    """What a class without a known size is taken for."""
+    return min(config.sizes.values(), key=lambda known: known.height_m)
+
+
+def _near_end_m(best: Cue, box: np.ndarray, size: ClassSize, cut: Cut, lens: LensConfig, mount: MountConfig) -> float:
+    """The near end of what is possible, to the object's middle.
+
+    With the mount known: of the interval of the cues. Otherwise of the class's smallest member; of a thing that reaches
+    below the picture as near as the ground is there for a low camera; of one that reaches above it, as much again is
+    taken to be out of view.
+    """
+    near_m = best.distance_m * max(1.0 - NEAR_SIGMAS * best.relative_sigma, 0.0)
+    if mount.height_m >= MIN_MOUNT_M:
+        return near_m
+    height_px = max(float(box[3] - box[1]), 1.0)
+    near_m = min(near_m, lens.f_y_px * size.lowest_m / height_px)
+    if cut.bottom:
+        return min(near_m, lens.f_y_px * LOW_MOUNT_M / max(lens.height_px - lens.c_y_px, 1.0))
+    return min(near_m, best.distance_m / 2) if cut.top else near_m
 
 
 def edges_cut(box: np.ndarray, lens: LensConfig, edge: float) -> Cut:
@@ -122,7 +173,8 @@ def _vertical_cues(
     top, bottom = float(box[1]), float(box[3])
     height_px, deep_m = max(bottom - top, 1.0), depth_m(box, size, cut)
     relative = math.hypot(size.height_sigma_m / size.height_m, math.sqrt(2) * config.box_sigma_px / height_px)
-    height = Cue(lens.f_y_px * size.height_m / height_px + deep_m / 4, relative)
+    nearer_m = deep_m / 4 * (1.0 + min(mount.height_m / size.height_m, 1.0))
+    height = Cue(lens.f_y_px * size.height_m / height_px + nearer_m, relative)
     found = [(height, cut.top or cut.bottom)]
     if mount.height_m < MIN_MOUNT_M:
         return found
@@ -155,17 +207,17 @@ def _width_cues(box: np.ndarray, size: ClassSize, cut: Cut, lens: LensConfig) ->
     return found
 
 
-def _fuse(measured: list[Cue]) -> Cue:
+def _fuse(measured: list[Cue], agree_sigmas: float) -> Cue:
     """Inverse-variance mean in 1/d, where rows are linear; of contradicting cues the nearer is believed."""
     nearest = min(measured, key=lambda cue: cue.distance_m)
-    agreeing = [cue for cue in measured if _agree(cue, nearest)]
+    agreeing = [cue for cue in measured if _agree(cue, nearest, agree_sigmas)]
     nearness = np.array([1.0 / cue.distance_m for cue in agreeing])
     weights = np.array([(cue.distance_m / max(cue.relative_sigma, 1e-3)) ** 2 for cue in agreeing])
     mean = float((weights * nearness).sum() / weights.sum())
     return Cue(1.0 / mean, float(1.0 / math.sqrt(weights.sum())) / mean)
 
 
-def _agree(one: Cue, other: Cue) -> bool:
+def _agree(one: Cue, other: Cue, sigmas: float) -> bool:
     apart = abs(1.0 / one.distance_m - 1.0 / other.distance_m)
     sigma = math.hypot(one.relative_sigma / one.distance_m, other.relative_sigma / other.distance_m)
-    return apart <= AGREE_SIGMAS * sigma
+    return apart <= sigmas * sigma

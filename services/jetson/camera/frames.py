@@ -10,13 +10,20 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from common.status import Report
+from common.bus.status import Report
+from common.messages import Motion
 
 
 class Frame(NamedTuple):
+    """One picture and when it was taken."""
+
     stamp_ns: int  # UTC ns: when the picture was taken, as nearly as the source can tell
     received_ns: int  # UTC ns: when it was complete in this process
     image: np.ndarray  # (H, W, 3) uint8 BGR
+    motion: Motion | None = None  # of a recording of the bus: how the vehicle was known to move
+
+
+Source = Callable[[threading.Event], Iterator[Frame]]  # runs until it ends or the event is set
 
 
 class NewestFrames:
@@ -25,9 +32,7 @@ class NewestFrames:
     ``lossless`` makes the source wait for the reader instead: for recordings that are to be evaluated in full.
     """
 
-    def __init__(
-        self, source: Callable[[threading.Event], Iterator[Frame]], report: Report, lossless: bool = False
-    ) -> None:
+    def __init__(self, source: Source, report: Report, lossless: bool = False) -> None:
         self._source = source
         self._report = report
         self._lossless = lossless

@@ -16,9 +16,21 @@ _GSTREAMER = {
     ),
     "v4l2": (
         *("gst-launch-1.0", "-q", "v4l2src", "device={device}", "!", "decodebin"),
+        *("!", "aspectratiocrop", "aspect-ratio={width}/{height}"),  # square pixels, whatever mode the camera has
         *("!", "videoscale", "!", "videoconvert", "!", _RAW_BGR, "!", "fdsink", "fd=1", "sync=false"),
     ),
 }
+
+
+def picture_size(url: SourceUrl, config: CaptureConfig) -> tuple[int, int]:
+    """Width and height of the child's pictures: the sensor's shape within the configured size, with square pixels.
+
+    A command of one's own gives the configured size, and so does v4l2:, which cuts the camera's picture to that shape.
+    """
+    if url.scheme != "csi" or config.csi_command:
+        return config.width_px, config.height_px
+    scale = min(config.width_px / config.sensor_width_px, config.height_px / config.sensor_height_px)
+    return max(round(config.sensor_width_px * scale / 4) * 4, 4), max(round(config.sensor_height_px * scale / 2) * 2, 2)
 
 
 def command(url: SourceUrl, config: CaptureConfig) -> list[str]:
@@ -28,10 +40,11 @@ def command(url: SourceUrl, config: CaptureConfig) -> list[str]:
         ConfigError: a placeholder that is not known.
     """
     template = {"csi": config.csi_command, "v4l2": config.v4l2_command}[url.scheme] or _GSTREAMER[url.scheme]
+    width_px, height_px = picture_size(url, config)
     values = {
         "device": url.target if url.scheme == "csi" else device_path(url),
-        "width": config.width_px,
-        "height": config.height_px,
+        "width": width_px,
+        "height": height_px,
         "rate": config.rate_hz,
         "sensor_width": config.sensor_width_px,
         "sensor_height": config.sensor_height_px,

@@ -1,4 +1,4 @@
-"""Is the picture a view? Dark, frozen, covered, overexposed, blurred: each with its evidence, hysteresis and count."""
+"""Is the picture a view? Dark, frozen, covered, overexposed, blurred, too rare: with evidence, hysteresis and count."""
 
 from __future__ import annotations
 
@@ -83,12 +83,14 @@ class ViewMonitor:
     def __init__(self, config: HealthConfig) -> None:
         self._config = config
         self._changed_ns: int | None = None
+        self._last_ns: int | None = None
         slow = config.raise_frames
         self._dark = _Condition("dark", True, raise_frames=1)
         self._frozen = _Condition("frozen", True, raise_frames=1)
         self._covered = _Condition("covered or fogged", True, raise_frames=slow)
         self._overexposed = _Condition("overexposed", False, raise_frames=slow)
         self._blurred = _Condition("blurred", False, raise_frames=slow)
+        self._slow = _Condition("too slow", False, raise_frames=slow)
 
     def update(self, stamp_ns: int, measures: Measures) -> ViewState:
         """The state after this picture; the first complaint in the order above is the one that is told."""
@@ -97,7 +99,8 @@ class ViewMonitor:
         self._judge_below(self._covered, measures.contrast, self._config.contrast_below, "contrast {:.2f}")
         self._judge_below(self._blurred, measures.detail, self._config.detail_below, "fine detail {:.3f}")
         self._judge_overexposed(measures.saturated)
-        conditions = (self._dark, self._frozen, self._overexposed, self._covered, self._blurred)
+        self._judge_slow(stamp_ns)
+        conditions = (self._dark, self._frozen, self._overexposed, self._covered, self._blurred, self._slow)
         raised = [condition for condition in conditions if condition.raised]
         if not raised:
             return ViewState(False, False, "")
@@ -113,6 +116,17 @@ class ViewMonitor:
         text = f"{saturated:.0%} of the picture is saturated, allowed {limit:.0%}"
         little = limit * (1 - self._config.hysteresis)
         self._overexposed.update(saturated > limit, saturated <= little, self._config.clear_frames, text)
+
+    def _judge_slow(self, stamp_ns: int) -> None:
+        """By the time between two pictures that were judged: a slow network counts as well as a slow camera."""
+        since_s = (stamp_ns - self._last_ns) / 1e9 if self._last_ns is not None else 0.0
+        self._last_ns = stamp_ns
+        limit_hz = self._config.slow_below_hz
+        if since_s <= 0.0:
+            return
+        rate_hz, enough_hz = 1.0 / since_s, limit_hz * (1 + self._config.hysteresis)
+        text = f"{rate_hz:.1f} pictures a second, needs {limit_hz:g}; more light, a smaller picture or network"
+        self._slow.update(rate_hz < limit_hz, rate_hz >= enough_hz, self._config.clear_frames, text)
 
     def _judge_frozen(self, stamp_ns: int, difference: float | None) -> None:
         changed = difference is None or difference > self._config.frozen_difference

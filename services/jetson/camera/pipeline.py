@@ -2,28 +2,50 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 
-from common.messages import CameraDetection, CameraDetections, Level, worst
+from common.messages import CameraDetection, CameraDetections, Level, Motion, worst
+from common.path import Path, is_driving
 from common.stopwatch import Stopwatch
-from services.jetson.camera.config import CameraConfig
-from services.jetson.camera.detector import Boxes, Detector
-from services.jetson.camera.distance import estimate, scaled
+from services.jetson.camera.config import CameraConfig, LensConfig
+from services.jetson.camera.detector import Boxes, BoxFinder, Detector
+from services.jetson.camera.distance import estimate, scaled, smallest
 from services.jetson.camera.health import ViewMonitor, measure, reduce
-from services.jetson.camera.zone import band, in_forward_zone
+from services.jetson.camera.parts import PartsMonitor
+from services.jetson.camera.upright import lens_of_upright
+from services.jetson.camera.zone import band, cover_of, in_forward_zone, shifted, way_column_px
+
+log = logging.getLogger(__name__)
+
+MOST_NAMED = 10
 
 
 class CameraPipeline:
     """Give it picture after picture. It remembers the last picture and the counts of the health check, no more."""
 
-    def __init__(self, config: CameraConfig) -> None:
+    def __init__(self, config: CameraConfig, detector: BoxFinder | None = None) -> None:
+        """``detector`` takes the place of the network that the configuration names."""
         self._config = config
-        self._detector = Detector(config.detector)
+        self._detector: BoxFinder = detector or Detector(config.detector)
+        self.unsized = [name for name in self._detector.names if config.distance.size_of(name) is None]
+        if self.unsized:
+            log.warning(
+                "classes without a size in [distance.sizes]: %s; each is taken for a thing %.2f m high, the nearest it "
+                "could be",
+                ", ".join(self.unsized[:MOST_NAMED]) + (", ..." if len(self.unsized) > MOST_NAMED else ""),
+                smallest(config.distance).height_m,
+            )
         self._monitor = ViewMonitor(config.health)
+        self._parts = PartsMonitor(config.health)
+        self._found = np.zeros((0, 4))  # boxes in the picture before, as shares of its width and height
         self._previous: np.ndarray | None = None
 
-    def process(self, stamp_ns: int, image: np.ndarray) -> CameraDetections:
+    def process(self, stamp_ns: int, image: np.ndarray, motion: Motion | None = None) -> CameraDetections:
         """Detections of one picture (H, W, 3) uint8 BGR taken at ``stamp_ns`` (UTC ns).
+
+        ``motion`` is the vehicle's, None = unknown: the forward zone is the middle of the picture then.
 
         Raises:
             ValueError: the picture has another shape or type.
@@ -35,11 +57,17 @@ class CameraPipeline:
         grey = reduce(image)
         measures = measure(grey, self._previous)
         view = self._monitor.update(stamp_ns, measures)
+        parts = self._parts.update(stamp_ns, grey, self._previous, self._found, self._config.zone.width)
         self._previous = grey
         watch.lap("health")
 
         # What is in it (a blind camera sees nothing, whatever its network says)
-        detections = [] if view.blind else self._detect(image, watch)
+        path = Path(self._config.path, motion) if is_driving(motion, self._config.path) else None
+        lens = self._lens(image)
+        detections = [] if view.blind else self._detect(image, lens, path, watch)
+
+        size = np.array([image.shape[1], image.shape[0]] * 2)
+        self._found = np.array([one.box_xyxy_px for one in detections]).reshape(-1, 4) / size
 
         # The worst of what is ahead; None = nothing is ahead
         levels = [detection.level for detection in detections if detection.in_zone]
@@ -48,17 +76,28 @@ class CameraPipeline:
         return CameraDetections(
             stamp_ns=stamp_ns,
             frame_id=self._config.frame_id,
-            state="degraded" if view.degraded else "online",
-            reason=view.reason,
+            state="degraded" if view.degraded or parts.reason else "online",
+            reason=view.reason or parts.reason,
             stage_ms=watch.stage_ms,
             detections=detections,
             brightness=measures.brightness,
             level=level,
             image_size_px=(image.shape[1], image.shape[0]),
             provider=self._detector.provider,
+            motion=motion,
+            cover=cover_of(self._config, lens, view.reason or (parts.reason if parts.blind_ahead else "")),
+            strips_see=(False,) * len(parts.sees) if view.blind else parts.sees,
         )
 
-    def _detect(self, image: np.ndarray, watch: Stopwatch) -> list[CameraDetection]:
+    def _lens(self, image: np.ndarray) -> LensConfig:
+        """The configured lens for pictures of this size."""
+        height_px, width_px = image.shape[:2]
+        lens = lens_of_upright(self._config.lens, self._config.capture, width_px, height_px)
+        return scaled(lens, width_px, height_px)
+
+    def _detect(
+        self, image: np.ndarray, lens: LensConfig, path: Path | None, watch: Stopwatch
+    ) -> list[CameraDetection]:
         # Picture to network input: letterboxed, RGB, 0..1
         blob, fit = self._detector.preprocess(image)
         watch.lap("preprocess")
@@ -72,18 +111,17 @@ class CameraPipeline:
         watch.lap("postprocess")
 
         # How far, whether ahead, and in which band
-        detections = self._locate(boxes, image.shape[1], image.shape[0])
+        detections = self._locate(boxes, lens, path)
         watch.lap("distance")
         return detections
 
-    def _locate(self, boxes: Boxes, width_px: int, height_px: int) -> list[CameraDetection]:
-        config = self._config
-        lens = scaled(config.lens, width_px, height_px)
-        detections = []
+    def _locate(self, boxes: Boxes, lens: LensConfig, path: Path | None) -> list[CameraDetection]:
+        config, detections = self._config, []
         for box, confidence, class_id in zip(*boxes, strict=True):
             label = self._detector.names[class_id]
             distance = estimate(box, label, lens, config.mount, config.distance)
             left, top, right, bottom = (float(value) for value in box)
+            shift_px = way_column_px(distance.near_m, path, config.zone, lens) if path else 0.0
             detections.append(
                 CameraDetection(
                     label=label,
@@ -93,8 +131,8 @@ class CameraPipeline:
                     distance_sigma_m=distance.sigma_m,
                     nearest_m=distance.near_m,
                     truncated=distance.truncated,
-                    in_zone=in_forward_zone(box, width_px, config.zone),
-                    level=band(distance.near_m, (bottom - top) / height_px, config.zone),
+                    in_zone=in_forward_zone(shifted(box, shift_px), lens.width_px, config.zone),
+                    level=band(distance.near_m, (bottom - top) / lens.height_px, config.zone),
                 )
             )
         return detections

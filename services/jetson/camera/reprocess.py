@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 
+from common.bus.status import Report
 from common.messages import CameraDetections
-from common.status import Report
 from services.jetson.camera.config import CameraConfig
 from services.jetson.camera.pipeline import CameraPipeline
 from services.jetson.camera.source import fitted, open_source
@@ -18,4 +18,4 @@ def reprocess(config: CameraConfig, report: Report) -> Iterator[CameraDetections
     pipeline = CameraPipeline(config)
     source, _ = open_source(config, report)
     for frame in source(threading.Event()):
-        yield pipeline.process(frame.stamp_ns, frame.image)
+        yield pipeline.process(frame.stamp_ns, frame.image, frame.motion)

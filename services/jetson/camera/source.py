@@ -5,14 +5,14 @@ file:PATH?rate=1&loop=1  a video, a picture, or a folder of pictures (fps=..); r
 mcap:PATH?rate=1&loop=1  the pictures of ``spotter record --raw camera``; rate=0 as above
 v4l2:0  v4l2:/dev/video0 a USB camera          } through a child process
 csi:0                    a camera on the CSI port }
+ros2:/image?type=TYPE    the pictures of a ROS 2 driver, see docs/ros2.md
 """
 
 from __future__ import annotations
 
 import logging
-import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -20,32 +20,39 @@ import cv2
 import msgspec
 import numpy as np
 
+from common.bus.status import Report
 from common.clock import monotonic_s, utc_at, utc_ns
 from common.config import ConfigError
-from common.recording.raw import MCAP_PARAMETERS, fitted_as_recorded, replayed
-from common.sim import camera as simulated
-from common.sim.scenario_clock import ScenarioClock
-from common.sim.world import DeviceUnplugged, T_vehicle_camera
+from common.recording.raw import MCAP_PARAMETERS, first_piece, fitted_as_recorded, recorded_motion, replayed
+from common.ros2.source import ROS2_PARAMETERS, require_rosbags
 from common.source_url import SourceUrl, parse_source
-from common.status import Report
 from common.topics import CAMERA_RAW
-from services.jetson.camera.child import CaptureChild, CaptureLost
-from services.jetson.camera.config import CameraConfig, CaptureConfig, LensConfig
-from services.jetson.camera.distance import scaled
-from services.jetson.camera.frames import Frame
-from services.jetson.camera.gstreamer import advice, command, device_path
+from services.jetson.camera.capture import captured
+from services.jetson.camera.config import CameraConfig, CaptureConfig, LensConfig, no_network
+from services.jetson.camera.frames import Frame, Source
+from services.jetson.camera.gstreamer import command
+from services.jetson.camera.upright import turned
+from spotter_sim import camera as simulated
+from spotter_sim.scenario_clock import ScenarioClock
+from spotter_sim.world import DeviceUnplugged, T_vehicle_camera
 
 log = logging.getLogger("source")
 
-SCHEMES = {"sim": ("t0",), "file": ("rate", "loop", "fps"), "csi": (), "v4l2": (), "mcap": MCAP_PARAMETERS}
+SCHEMES = {
+    "sim": ("t0",),
+    "file": ("rate", "loop", "fps"),
+    "csi": (),
+    "v4l2": (),
+    "mcap": MCAP_PARAMETERS,
+    "ros2": ROS2_PARAMETERS,
+}
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".webp"}
-RESTATE_S = 0.2  # how often a lost camera is said to be lost while nothing else happens
-
-Source = Callable[[threading.Event], Iterator[Frame]]
 
 
 def open_source(config: CameraConfig, report: Report) -> tuple[Source, bool]:
     """The source of the configuration, to be run by ``NewestFrames``, and whether no frame of it may be skipped.
+
+    Its pictures are upright: those of cameras and files are turned as configured, the others are upright already.
 
     Raises:
         ConfigError: unknown scheme or parameter, no such file or scenario.
@@ -54,35 +61,59 @@ def open_source(config: CameraConfig, report: Report) -> tuple[Source, bool]:
     if url.scheme == "sim":
         return partial(_simulated, ScenarioClock(url), config.capture, report), False
     if url.scheme == "file":
-        return partial(_replayed, url, *_recording(url, config.capture)), url.number("rate", 1.0) == 0
+        source: Source = partial(_replayed, url, *_recording(url, config.capture))
+        return turned(source, config.capture), url.number("rate", 1.0) == 0
     if url.scheme == "mcap":
         return partial(_recorded_on_the_bus, url), url.number("rate", 1.0) == 0
+    if url.scheme == "ros2":
+        require_rosbags(url)
+        from services.jetson.camera.ros2 import ros_pictures
+
+        return turned(ros_pictures(url, config.zenoh, report), config.capture), False
     command(url, config.capture)  # a wrong placeholder is told now, not in the capture thread
-    return partial(_captured, url, config.capture, report), False
+    return turned(partial(captured, url, config.capture, report), config.capture), False
 
 
 def fitted(config: CameraConfig) -> CameraConfig:
     """The configuration with what the source knows of itself.
 
-    The simulated camera knows its own lens and place; a single photograph is still by nature, not frozen. A real camera
+    The simulated camera knows its own lens and place; a single photograph is still by nature, not frozen, and
+    a compressed video keeps parts that do not move. A real camera
     has everything from the configuration.
+
+    Raises:
+        ConfigError: a recording of a real camera, and no network is configured for it.
     """
     scheme, _, target = config.source.partition(":")
-    if scheme == "file" and Path(target.partition("?")[0]).suffix.lower() in PICTURES:
-        return msgspec.structs.replace(config, health=msgspec.structs.replace(config.health, frozen_after_s=0.0))
+    if scheme == "file":
+        still = Path(target.partition("?")[0]).suffix.lower() in PICTURES
+        after_s = 0.0 if still else config.health.frozen_after_s
+        health = msgspec.structs.replace(config.health, frozen_after_s=after_s, part_frozen_after_s=0.0)
+        return msgspec.structs.replace(config, health=health)
     if scheme == "mcap":
-        return fitted_as_recorded(config, parse_source(config.source, SCHEMES), CAMERA_RAW)
+        url = parse_source(config.source, SCHEMES)
+        if not config.detector.model and first_piece(url, CAMERA_RAW).source_kind not in ("simulated", "unknown"):
+            raise ConfigError(no_network(config.source))
+        return fitted_as_recorded(config, url, CAMERA_RAW)
     if scheme != "sim":
         return config
     width_px, height_px = config.capture.width_px, config.capture.height_px
-    native = LensConfig(f_x_px=simulated.F_Y_PX, f_y_px=simulated.F_Y_PX)
+    native = LensConfig()
+    lens = LensConfig(  # the simulated picture of another shape is squeezed
+        width_px=width_px,
+        height_px=height_px,
+        f_x_px=simulated.F_Y_PX * width_px / native.width_px,
+        f_y_px=simulated.F_Y_PX * height_px / native.height_px,
+        c_x_px=width_px / 2,
+        c_y_px=height_px / 2,
+    )
     mount = msgspec.structs.replace(config.mount, height_m=float(T_vehicle_camera[2, 3]), pitch_rad=0.0)
-    return msgspec.structs.replace(config, lens=scaled(native, width_px, height_px), mount=mount)
+    return msgspec.structs.replace(config, lens=lens, mount=mount)
 
 
 def _recorded_on_the_bus(url: SourceUrl, stop: threading.Event) -> Iterator[Frame]:
     for piece in replayed(url, CAMERA_RAW, stop.wait):
-        yield Frame(piece.stamp_ns, piece.received_ns, piece.data)
+        yield Frame(piece.stamp_ns, piece.received_ns, piece.data, recorded_motion(piece))
 
 
 def _simulated(clock: ScenarioClock, config: CaptureConfig, report: Report, stop: threading.Event) -> Iterator[Frame]:
@@ -156,60 +187,6 @@ def _video(path: Path) -> Iterator[np.ndarray]:
             yield image
     finally:
         video.release()
-
-
-def _captured(url: SourceUrl, config: CaptureConfig, report: Report, stop: threading.Event) -> Iterator[Frame]:
-    """Frames of a child process; a child that ends or hangs is replaced, with a growing pause between attempts."""
-    pause_s = config.retry_min_s
-    while not stop.is_set():
-        trouble = _obstacle(url, config)
-        if trouble is None:
-            try:
-                for frame in _one_child(url, config, report, stop):
-                    pause_s = config.retry_min_s
-                    yield frame
-                return
-            except CaptureLost as error:
-                trouble = f"{error}; {advice(url)}"
-        log.warning("%s: %s; next attempt in %.1f s", url, trouble, pause_s)
-        _wait_lost(f"{url}: {trouble}", pause_s, report, stop)
-        pause_s = min(2 * pause_s, config.retry_max_s)
-
-
-def _one_child(url: SourceUrl, config: CaptureConfig, report: Report, stop: threading.Event) -> Iterator[Frame]:
-    """Frames of one child until it is lost, which is told before the child is cleared away."""
-    timeout_s = config.start_timeout_s
-    with CaptureChild(command(url, config), config.width_px, config.height_px) as child:
-        while not stop.is_set():
-            try:
-                frame = child.read(timeout_s)
-            except CaptureLost as error:
-                report.state("disconnected", f"{url}: {error}; {advice(url)}")
-                raise
-            yield frame
-            timeout_s = config.frame_timeout_s
-
-
-def _wait_lost(reason: str, pause_s: float, report: Report, stop: threading.Event) -> None:
-    """Say it again and again: a frame that was still being processed may have said "online" in between."""
-    until_s = monotonic_s() + pause_s
-    while True:
-        report.state("disconnected", reason)
-        left_s = until_s - monotonic_s()
-        if left_s <= 0 or stop.wait(min(left_s, RESTATE_S)):
-            return
-
-
-def _obstacle(url: SourceUrl, config: CaptureConfig) -> str | None:
-    """Why an attempt is not worth it, told apart: no device, or no permission."""
-    path = Path(device_path(url))
-    if url.scheme != "v4l2" or config.v4l2_command:
-        return None
-    if not path.exists():
-        return f"{path} is not there; plug the camera in"
-    if not os.access(path, os.R_OK | os.W_OK):
-        return f"{path} may not be read by this user; add the user to the group video"
-    return None
 
 
 class Pace:

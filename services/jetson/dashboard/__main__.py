@@ -6,11 +6,12 @@ import logging
 
 import uvicorn
 
+from common.bus.runtime import Service
+from common.bus.service_app import service_app
 from common.config import ConfigError
-from common.launch import service_app
-from common.runtime import Service
 from services.jetson.dashboard.board import Board
 from services.jetson.dashboard.config import DashboardConfig
+from services.jetson.dashboard.protocol import impatient
 from services.jetson.dashboard.server import DashboardServer
 from services.jetson.dashboard.source import BoardSource
 
@@ -40,8 +41,9 @@ class Server(uvicorn.Server):
 
 
 def run(config: DashboardConfig) -> bool:
+    """Serve the page and keep it up to date until the process ends; False if not closed cleanly."""
     board = Board()
-    with Service("dashboard", config) as service, BoardSource(service, board, config.fusion_host) as source:
+    with Service("dashboard", config) as service, BoardSource(service, board, config) as source:
         app = DashboardServer(config, board, source).app()
         settings = uvicorn.Config(
             app,
@@ -49,6 +51,7 @@ def run(config: DashboardConfig) -> bool:
             port=config.server.port,
             log_level="warning",
             lifespan="off",
+            http=impatient(config.server.request_within_s),
             ws="websockets-sansio",
             ws_max_size=65536,
             timeout_graceful_shutdown=1,
@@ -61,6 +64,7 @@ app = service_app("dashboard", DashboardConfig, run, __doc__)
 
 
 def main() -> None:
+    """The console command ``spotter-dashboard``."""
     app()
 
 

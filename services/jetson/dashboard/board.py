@@ -10,9 +10,10 @@ from typing import Any
 import msgspec
 
 from common.codec import to_builtins
-from common.messages import CompressedImage, Message, SystemHealth, Verdict
+from common.messages import CameraDetections, CompressedImage, Message, SystemHealth, Verdict
 
 HISTORY = 300
+PICTURES, DETECTIONS = 4, 32  # of each camera: a picture is asked for after its message was seen
 _ENCODER = msgspec.json.Encoder()
 
 
@@ -39,6 +40,8 @@ class Board:
         self._verdicts: deque[dict[str, Any]] = deque(maxlen=HISTORY)
         self._healths: deque[dict[str, Any]] = deque(maxlen=HISTORY)
         self._states: dict[str, tuple[str, str]] = {}
+        self._pictures: dict[str, deque[CompressedImage]] = {}
+        self._detections: dict[str, deque[CameraDetections]] = {}
 
     def put(self, key: str, message: Message, arrived_s: float) -> None:
         """Hang up a message; changes of verdict and of sensor states go into the histories."""
@@ -48,18 +51,29 @@ class Board:
                 self._note_verdict(message)
             elif isinstance(message, SystemHealth):
                 self._note_health(message)
+            elif isinstance(message, CompressedImage):
+                self._pictures.setdefault(key, deque(maxlen=PICTURES)).append(message)
+            elif isinstance(message, CameraDetections):
+                self._detections.setdefault(key, deque(maxlen=DETECTIONS)).append(message)
 
-    def image(self, key: str) -> bytes | None:
-        """The newest JPEG of a camera topic."""
+    def image(self, key: str, stamp_ns: int | None = None) -> bytes | None:
+        """A JPEG of a camera topic: the one with this stamp while it is kept, else the newest."""
         with self._lock:
-            entry = self._entries.get(key)
-        return entry.message.data if entry and isinstance(entry.message, CompressedImage) else None
+            kept = list(self._pictures.get(key, ()))
+        asked_for = [picture for picture in kept if picture.stamp_ns == stamp_ns]
+        return (asked_for or kept)[-1].data if kept else None
+
+    def newest(self, suffix: str, now_s: float) -> list[tuple[str, Message, float]]:
+        """(key, message, age in seconds) of every key that ends so, in the order of the keys."""
+        with self._lock:
+            found = [(key, entry) for key, entry in self._entries.items() if key.endswith(suffix)]
+        return [(key, entry.message, now_s - entry.arrived_s) for key, entry in sorted(found, key=lambda one: one[0])]
 
     def snapshot(self, now_s: float, products: set[str]) -> bytes:
         """JSON with the newest messages of these products (``"*"`` = all but pictures) and their ages in ms."""
         with self._lock:
             entries = {
-                key: {"age_ms": round(1e3 * (now_s - entry.arrived_s), 1), "message": self._content(entry)}
+                key: {"age_ms": round(1e3 * (now_s - entry.arrived_s), 1), "message": self._content(key, entry)}
                 for key, entry in self._entries.items()
                 if "*" in products
                 or key.split("/", 1)[1] in products
@@ -69,11 +83,15 @@ class Board:
                 {"entries": entries, "verdicts": list(self._verdicts)[-100:], "healths": list(self._healths)[-100:]}
             )
 
-    @staticmethod
-    def _content(entry: Entry) -> msgspec.Raw:
-        if isinstance(entry.message, CompressedImage):  # fetched on its own, by seq
-            return msgspec.Raw(_ENCODER.encode({"seq": entry.message.seq, "stamp_ns": entry.message.stamp_ns}))
-        return entry.json()
+    def _content(self, key: str, entry: Entry) -> msgspec.Raw:
+        """A picture is fetched on its own, by its stamp; with it comes what was seen in this very picture."""
+        if not isinstance(entry.message, CompressedImage):
+            return entry.json()
+        stamp_ns = entry.message.stamp_ns
+        of_camera = self._detections.get(f"{key.rpartition('/')[0]}/detections", ())
+        seen = next((one for one in of_camera if one.stamp_ns == stamp_ns), None)
+        content = {"seq": entry.message.seq, "stamp_ns": stamp_ns, "seen": to_builtins(seen) if seen else None}
+        return msgspec.Raw(_ENCODER.encode(content))
 
     def _note_verdict(self, verdict: Verdict) -> None:
         last = self._verdicts[-1] if self._verdicts else {}

@@ -7,6 +7,7 @@ from typing import Annotated
 import msgspec
 
 from common.config import Section, ServiceConfig
+from common.geodesy import MapOrigin
 
 
 class ServerConfig(Section, frozen=True, kw_only=True):
@@ -14,8 +15,11 @@ class ServerConfig(Section, frozen=True, kw_only=True):
 
     address: str = "127.0.0.1"
     port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 8080
+    allowed_hosts: tuple[str, ...] = ()  # further names under which a browser may ask for the page
+    site_hosts: tuple[str, ...] = ()  # the names in the site file; `spotter up` fills them in
     token: str = ""  # asked for as ?token=...; without one only loopback is allowed
     max_clients: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 50
+    request_within_s: Annotated[float, msgspec.Meta(ge=1, le=600)] = 10.0  # then a connection without one is closed
     max_rate_hz: Annotated[float, msgspec.Meta(gt=0, le=60)] = 20.0
 
 
@@ -24,7 +28,9 @@ class DashboardConfig(ServiceConfig, frozen=True, kw_only=True):
 
     host: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9_]+$")] = "jetson0"
     fusion_host: str = "jetson0"
+    other_hosts: tuple[str, ...] = ()  # of other vehicles: not shown; `spotter up` fills them in
     server: ServerConfig = ServerConfig()
+    map: MapOrigin | None = None  # where the map lies on the Earth, for /api/tracks.geojson; `spotter up` fills it in
 
     def __post_init__(self) -> None:
         loopback = self.server.address in ("127.0.0.1", "::1", "localhost")

@@ -6,11 +6,13 @@ A client says what it looks at and how often it wants it; each client has its ow
 from __future__ import annotations
 
 import asyncio
+import ipaddress
 import json
 import secrets
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
@@ -22,8 +24,11 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from common.clock import monotonic_s
+from common.geodesy import NO_ORIGIN
+from common.topics import INFRA_TRACKS
 from services.jetson.dashboard.board import Board
 from services.jetson.dashboard.config import DashboardConfig
+from services.jetson.dashboard.on_earth import live_tracks
 from services.jetson.dashboard.source import BoardSource
 
 STATIC = Path(__file__).parent / "static"
@@ -71,6 +76,7 @@ class DashboardServer:
                 Route("/", self._page),
                 Route("/api/snapshot", self._snapshot),
                 Route("/api/image/{host}", self._image),
+                Route("/api/tracks.geojson", self._tracks),
                 WebSocketRoute("/ws", self._socket),
                 Mount("/static", StaticFiles(directory=STATIC)),
             ],
@@ -79,6 +85,8 @@ class DashboardServer:
 
     async def _guard(self, request: Request, follow: Callable[[Request], Awaitable[Response]]) -> Response:
         """The token, if one is set, and headers that keep everything on this host."""
+        if not self._served_under(request):
+            return PlainTextResponse("Not served under this name: add it to [server] allowed_hosts.\n", 421)
         if not self._allowed(request):
             return PlainTextResponse("This dashboard asks for a token: open it as /?token=...\n", 401)
         response = await follow(request)
@@ -90,6 +98,19 @@ class DashboardServer:
         if given and self._config.server.token:
             response.set_cookie(COOKIE, given, httponly=True, samesite="strict")
         return response
+
+    def _served_under(self, connection: HTTPConnection) -> bool:
+        """Whether the name asked for is ours.
+
+        A page of another site can give its own name our address (DNS rebinding) and would then be of the same origin
+        as ours. It cannot do so with an address instead of a name, so every IP address is allowed.
+        """
+        server = self._config.server
+        try:
+            name = urlsplit(f"//{connection.headers.get('host', '')}").hostname or ""
+        except ValueError:  # brackets that are not closed
+            return False
+        return name in ("localhost", server.address, *server.allowed_hosts, *server.site_hosts) or _is_address(name)
 
     def _allowed(self, connection: HTTPConnection) -> bool:
         token = self._config.server.token
@@ -103,13 +124,22 @@ class DashboardServer:
         return Response(self._board.snapshot(monotonic_s(), {"*"}), media_type="application/json")
 
     async def _image(self, request: Request) -> Response:
-        data = self._board.image(f"{request.path_params['host']}/camera/image")
+        stamp = request.query_params.get("stamp", "")
+        stamp_ns = int(stamp) if stamp.isdecimal() and len(stamp) < 20 else None
+        data = self._board.image(f"{request.path_params['host']}/camera/image", stamp_ns)
         if data is None:
             return JSONResponse({"error": "no picture yet"}, 404)
         return Response(data, media_type="image/jpeg")
 
+    async def _tracks(self, request: Request) -> Response:
+        """What the roadside lidars track now, on the Earth; 409 where nobody has said where the map lies."""
+        if self._config.map is None:
+            return JSONResponse({"error": NO_ORIGIN}, 409)
+        document = live_tracks(self._board.newest(f"/{INFRA_TRACKS.name}", monotonic_s()), self._config.map)
+        return JSONResponse(document, media_type="application/geo+json")
+
     async def _socket(self, socket: WebSocket) -> None:
-        if not self._allowed(socket) or not self._same_origin(socket):
+        if not self._served_under(socket) or not self._allowed(socket) or not self._same_origin(socket):
             await socket.close(1008, "token")
             return
         if self._clients >= self._config.server.max_clients:
@@ -155,3 +185,11 @@ class DashboardServer:
             snapshot = self._board.snapshot(started_s, set(wish.products))
             await socket.send_text(snapshot.decode())  # waits while the client is slow: it then skips
             await asyncio.sleep(max(0.0, 1 / wish.rate_hz - (monotonic_s() - started_s)))
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True

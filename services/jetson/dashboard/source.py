@@ -5,22 +5,27 @@ from __future__ import annotations
 import threading
 from types import TracebackType
 
+from common.bus.pubsub import Latest
+from common.bus.runtime import Service
 from common.messages import Message
-from common.pubsub import Latest
-from common.runtime import Service
 from common.topics import DATA_TOPICS, Topic, status_topic
 from services.jetson.dashboard.board import Board
+from services.jetson.dashboard.config import DashboardConfig
 
 WAIT_S = 0.5
 
 
 class BoardSource:
-    """Feeds a board from Zenoh in a thread of its own. Use it in a ``with`` statement."""
+    """Feeds a board from Zenoh in a thread of its own. Use it in a ``with`` statement.
 
-    def __init__(self, service: Service, board: Board, fusion_host: str) -> None:
+    Of fusion only ``config.fusion_host`` is shown, and nothing of the hosts of other vehicles.
+    """
+
+    def __init__(self, service: Service, board: Board, config: DashboardConfig) -> None:
         self._service = service
         self._board = board
-        self._fusion_host = fusion_host
+        self._fusion_host = config.fusion_host
+        self._others = frozenset(config.other_hosts)
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._viewers: dict[str, int] = {}
@@ -65,4 +70,6 @@ class BoardSource:
                 inboxes = list(self._inboxes.values())
             for inbox in inboxes:
                 for received in inbox.take():
+                    if received.key.partition("/")[0] in self._others:
+                        continue
                     self._board.put(received.key, received.message, received.arrived_s)

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from common.launch import service_app
-from common.runtime import Service
+from common.bus.look import add_look
+from common.bus.runtime import Service
+from common.bus.service_app import service_app
 from common.topics import EGO_MOTION
 from services.jetson.ego.config import EgoConfig
+from services.jetson.ego.look import looks
 from services.jetson.ego.pipeline import EgoPipeline
 from services.jetson.ego.source import open_source
 
 
 def run(config: EgoConfig) -> bool:
-    pipeline, source = EgoPipeline(config), open_source(config)
+    """Publish the vehicle's motion until the source or the process ends; False if not closed cleanly."""
+    pipeline = EgoPipeline(config)
     with Service("ego", config) as service:
         publish = service.publisher(EGO_MOTION)
-        for stamp_ns, motion in source:
+        for stamp_ns, motion in open_source(config, service.report):
             publish(pipeline.process(stamp_ns, motion))
     return service.closed_cleanly
 
 
 app = service_app("ego", EgoConfig, run, __doc__)
+add_look(app, EgoConfig, looks)
 
 
 def main() -> None:
+    """The console command ``spotter-ego``."""
     app()
 
 

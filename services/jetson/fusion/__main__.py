@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from common.launch import service_app
-from common.runtime import Service
+from common.bus.runtime import Service
+from common.bus.service_app import service_app
 from common.topics import FUSION_HEALTH, FUSION_TRACE, FUSION_VERDICT
 from services.jetson.fusion.config import FusionConfig
 from services.jetson.fusion.journal import Journal
 from services.jetson.fusion.pipeline import FusionPipeline
 from services.jetson.fusion.source import observe
+from services.jetson.fusion.store import Store
 from services.jetson.fusion.trace import trace_of
 
 
 def run(config: FusionConfig) -> bool:
-    pipeline, journal = FusionPipeline(config), Journal()
+    """Publish verdict and health until the process ends; False if not closed cleanly."""
+    store, journal = Store(config.store, config.zenoh.namespace, config.host), Journal()
+    pipeline = FusionPipeline(config, store.load())
     with Service("fusion", config) as service:
         publish_verdict = service.publisher(FUSION_VERDICT)
         publish_health = service.publisher(FUSION_HEALTH)
@@ -22,6 +25,7 @@ def run(config: FusionConfig) -> bool:
             verdict, health = pipeline.process(observation)
             publish_verdict(verdict)
             journal.note_verdict(verdict)
+            store.keep(pipeline.state(observation))
             if publish_trace.wanted and pipeline.step is not None:
                 publish_trace(trace_of(pipeline.step, verdict, config.rules))
             if health is not None:
@@ -37,6 +41,7 @@ app = service_app("fusion", FusionConfig, run, __doc__)
 
 
 def main() -> None:
+    """The console command ``spotter-fusion``."""
     app()
 
 

@@ -1,35 +1,56 @@
-"""The health bar: one colour and one sentence for every combination of the three sensors' states."""
+"""The health bar: one colour and one sentence for every combination of the on-board sensors' states."""
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
 
 from common.messages import SensorState
+from common.topics import spoken
 
 Colour = Literal["green", "amber", "red"]
 
-SHORT = {"lidar": "LIDAR", "radar": "RADAR", "camera": "CAM"}
-MISSING_ONE = {
-    "lidar": "no geometric range",
-    "radar": "no velocity / no TTC",
-    "camera": "no visual confirmation",
-}
-LEFT_ALONE = {
-    "lidar": "LiDAR only, no velocity",
-    "radar": "radar only, static obstacles may be missed",
-    "camera": "camera only, no measured range",
+
+class SensorWords(NamedTuple):
+    """How the bar speaks of one sensor."""
+
+    missing: str  # what the vehicle lacks without this sensor
+    alone: str  # what it is left with when this sensor alone is online
+
+
+WORDS: dict[str, SensorWords] = {
+    "lidar": SensorWords("no geometric range", "LiDAR only, no velocity"),
+    "radar": SensorWords("no velocity / no TTC", "radar only, static obstacles may be missed"),
+    "camera": SensorWords("no visual confirmation", "camera only, no measured range"),
 }
 
 
-def bar(states: dict[str, SensorState]) -> tuple[Colour, str]:
-    """Colour and text from the states of ``lidar``, ``radar`` and ``camera``; either kind of being out counts."""
-    out = [name for name in SHORT if states[name] != "online"]
+def words_of(name: str) -> SensorWords:
+    """A sensor without an entry in ``WORDS`` is called by its name."""
+    return WORDS.get(name) or SensorWords(f"no {spoken(name)} data", f"{spoken(name)} only")
+
+
+def bar(states: Mapping[str, SensorState], roadside: Mapping[str, SensorState] | None = None) -> tuple[Colour, str]:
+    """Colour and text from the state of each on-board sensor; degraded and disconnected are both out.
+
+    None out is green, one amber, more red. Sensors are named in the order of ``states``. Those of ``roadside`` change
+    no colour, because the vehicle can do without them, but one that is out is named.
+    """
+    colour, text = _vehicle(states)
+    missed = [f"{spoken(name)} {state}" for name, state in (roadside or {}).items() if state != "online"]
+    return colour, "; ".join([text, *missed])
+
+
+def _vehicle(states: Mapping[str, SensorState]) -> tuple[Colour, str]:
+    out = [name for name, state in states.items() if state != "online"]
+    left = [name for name in states if name not in out]
     if not out:
-        return "green", "ALL SENSORS ONLINE"
-    if len(out) == 3:
-        return "red", "ALL SENSORS OFFLINE, SYSTEM BLIND"
-    who = " + ".join(f"{SHORT[name]} {states[name].upper()}" for name in out)
+        return "green", "ALL VEHICLE SENSORS ONLINE"
+    if not left:
+        return "red", "ALL VEHICLE SENSORS OUT, SYSTEM BLIND"
+    lost = " + ".join(f"{spoken(name)} {states[name].upper()}" for name in out)
     if len(out) == 1:
-        return "amber", f"{who}: {MISSING_ONE[out[0]]}"
-    (left,) = (name for name in SHORT if name not in out)
-    return "red", f"{who}: {LEFT_ALONE[left]}"
+        return "amber", f"{lost}: {words_of(out[0]).missing}"
+    if len(left) == 1:
+        return "red", f"{lost}: {words_of(left[0]).alone}"
+    return "red", f"{lost}: only {' + '.join(spoken(name) for name in left)} left"

@@ -7,17 +7,25 @@ did. Measurements whose intervals do not overlap prove that a clock has stepped.
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from common.messages import ClockHealth
 from services.jetson.fusion.config import ClocksConfig
+from services.jetson.fusion.dating import SenderClock
 
-HISTORY = 16
+STEP_READING_ERROR_S = 0.002  # UTC and monotonic clock are read one after the other, before and after a step
+WRONG_CLOCK_S = 3600.0  # no network holds a message back this long: the sender's clock is wrong
+_UNITS = ((365.25 * 86400.0, "year"), (86400.0, "day"), (3600.0, "hour"), (60.0, "minute"), (1.0, "second"))
 
 
-@dataclass(frozen=True, slots=True)
-class ClockSample:
+def clock_words(host: str, offset_s: float) -> str:
+    """``clock of pi0 is 56 years behind``; ``offset_s`` is their clock minus ours."""
+    size_s, unit = next((one for one in _UNITS if abs(offset_s) >= one[0]), _UNITS[-1])
+    count = round(abs(offset_s) / size_s)
+    return f"clock of {host} is {count} {unit}{'' if count == 1 else 's'} {'behind' if offset_s < 0 else 'ahead'}"
+
+
+class ClockSample(NamedTuple):
     """One exchange with ``<host>/<service>``: their clock minus ours, true within ``bound_s``."""
 
     name: str
@@ -34,60 +42,86 @@ def measure(name: str, at_s: float, t0_ns: int, t1_ns: int, t2_ns: int, t3_ns: i
 
 
 class ClockWatch:
-    """The clock of one process. Never measured is not the same as lost: then stamps are judged as they are."""
+    """The clock of one process. Never measured is not the same as lost: then stamps are judged as they are.
+
+    Of all measurements the tightest is kept, its bound widened by what two clocks may drift apart meanwhile. Bounds of
+    the same age widen alike, so one that is wider today is never needed again. A link that is slow for a while widens
+    the bound slowly; it does not take the clock away.
+    """
 
     def __init__(self, config: ClocksConfig) -> None:
         self._config = config
-        self._samples: deque[ClockSample] = deque(maxlen=HISTORY)
+        self._best: ClockSample | None = None
+        self._measured_s = float("-inf")  # the last time, however widely
+        self._lost_s = 0.0  # how far our own clock went back since stamps have been taken as they are
         self._settling = 0
         self._why = ""
 
     def add(self, sample: ClockSample) -> None:
-        """Take a measurement; one that contradicts the earlier ones is a step and starts the history again."""
-        if sample.bound_s > self._config.max_bound_ms * 1e-3:
-            return  # too wide to say anything; if nothing better comes the bound is lost
+        """Take a measurement; one that contradicts the earlier ones is a step and starts again."""
         best = self.estimate(sample.at_s)
         if best is not None and abs(sample.offset_s - best.offset_s) > sample.bound_s + best.bound_s:
             self.restart(f"clock stepped by {sample.offset_s - best.offset_s:+.3f} s")
-        self._samples.append(sample)
+            best = None
+        if best is None or sample.bound_s <= best.bound_s:
+            self._best = sample
+        self._measured_s = sample.at_s
         self._settling = max(0, self._settling - 1)
 
     def restart(self, why: str) -> None:
-        """Forget the history because of a step; the clock is trusted again after some agreeing measurements."""
-        self._samples.clear()
+        """Forget what was measured because of a step; the clock is trusted again after some agreeing measurements."""
+        self._best = None
         self._settling = self._config.settle_samples
         self._why = why
 
     def forget(self) -> None:
         """The process is gone; its successor starts unmeasured."""
-        self._samples.clear()
+        self._best = None
         self._settling = 0
+        self._lost_s = 0.0
+
+    def shift(self, step_s: float) -> None:
+        """Our own clock has stepped by so much: theirs is as it was, the offset from ours is not.
+
+        A clock that was never measured may agree with ours as it was or as it is now: data has to be in time on both.
+        """
+        self._lost_s = max(0.0, self._lost_s - step_s)
+        if self._best is not None:
+            self._best = self._best._replace(
+                offset_s=self._best.offset_s - step_s, bound_s=self._best.bound_s + STEP_READING_ERROR_S
+            )
 
     def estimate(self, now_s: float) -> ClockSample | None:
         """The tightest measurement, its bound widened by what the clocks may have drifted apart since."""
-        drift = self._config.drift_ppm * 1e-6
-        aged = [
-            ClockSample(s.name, s.at_s, s.offset_s, s.bound_s + drift * max(0.0, now_s - s.at_s)) for s in self._samples
-        ]
-        return min(aged, key=lambda sample: sample.bound_s, default=None)
+        if self._best is None:
+            return None
+        drifted_s = self._config.drift_ppm * 1e-6 * max(0.0, now_s - self._best.at_s)
+        return self._best._replace(bound_s=self._best.bound_s + drifted_s)
+
+    def sender(self, now_s: float) -> SenderClock:
+        """What the age of their stamps is judged by; never measured: their clock is taken for ours."""
+        best = self.estimate(now_s)
+        return SenderClock(self._lost_s) if best is None else SenderClock(best.offset_s, best.bound_s)
 
     def distrust(self, now_s: float) -> str:
         """Why this clock cannot be trusted; empty when it can, or when it was never measured."""
         if self._settling:
             return f"{self._why}, measuring again"
-        if self._samples and now_s - self._samples[-1].at_s > self._config.max_age_s:
-            return f"clock offset not measured for {now_s - self._samples[-1].at_s:.0f} s"
+        best = self.estimate(now_s)
+        if best is not None and best.bound_s > self._config.max_bound_ms * 1e-3:
+            since_s = now_s - self._measured_s
+            return f"clock offset known to {best.bound_s * 1e3:.0f} ms only, last measured {since_s:.0f} s ago"
         return ""
 
     def health(self, now_s: float) -> ClockHealth | None:
-        """What people are told of this clock; None while it was never measured."""
+        """Offset and bound for the health message; None while the clock was never measured."""
         best = self.estimate(now_s)
         if best is None:
             return None
         return ClockHealth(
             offset_ms=best.offset_s * 1e3,
             bound_ms=best.bound_s * 1e3,
-            age_s=max(0.0, now_s - self._samples[-1].at_s),
+            age_s=max(0.0, now_s - self._measured_s),
             trusted=not self.distrust(now_s),
         )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 
 from common.messages import SystemHealth, Verdict
+from common.topics import spoken
 
 log = logging.getLogger("verdict")
 
@@ -18,19 +19,25 @@ class Journal:
 
     def note_verdict(self, verdict: Verdict) -> None:
         """Log a change of level or permission, with the rule, the reason and the way down."""
-        told = (verdict.level, verdict.permission)
-        if told == self._verdict:
+        noted = (verdict.level, verdict.permission)
+        if noted == self._verdict:
             return
-        self._verdict = told
+        self._verdict = noted
         way_down = f"; lower when: {verdict.to_lower}" if verdict.to_lower else ""
         log.info("%s -> %s by %s: %s%s", verdict.level, verdict.permission, verdict.rule, verdict.because, way_down)
 
     def note_health(self, health: SystemHealth) -> None:
         """Log a change of a sensor's state or cause; recovering is not worth a line."""
         for name, sensor in health.sensors.items():
-            told = (sensor.state, sensor.cause)
-            if told == self._sensors.get(name) or sensor.cause == "recovering":
+            noted = (sensor.state, sensor.cause)
+            if noted == self._sensors.get(name) or sensor.cause == "recovering":
                 continue
-            self._sensors[name] = told
+            self._sensors[name] = noted
             why = f": {sensor.reason}" if sensor.reason else ""
-            log.log(logging.INFO if sensor.state == "online" else logging.WARNING, "%s %s%s", name, sensor.state, why)
+            log.log(
+                logging.INFO if sensor.state == "online" else logging.WARNING,
+                "%s %s%s",
+                spoken(name),
+                sensor.state,
+                why,
+            )

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import Any
 
-from common.messages import Message
-from common.pubsub import Received
+from common.bus.pubsub import Received
 
 TWO_SENDERS_AFTER = 3  # times that the sequence number went back, within
 TWO_SENDERS_WITHIN_S = 2.0
@@ -16,11 +16,11 @@ class Ordering:
 
     def __init__(self, patience_s: float) -> None:
         self._patience_s = patience_s
-        self._last: Received[Message] | None = None
+        self._last: Received[Any] | None = None
         self._sender = ""
         self._went_back_s: deque[float] = deque(maxlen=TWO_SENDERS_AFTER)
 
-    def check(self, received: Received[Message], sender: str, *, announced: bool = False) -> str:
+    def check(self, received: Received[Any], sender: str, *, announced: bool = False) -> str:
         """Why this message is not to be used; empty when it is.
 
         ``sender`` changes when the process does; ``announced``: two may speak, one takes over from the other.

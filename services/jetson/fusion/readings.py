@@ -5,14 +5,34 @@ A message that contradicts itself (its level is lower than that of an object in 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from common.messages import CameraDetections, Level, LidarZones, Message, RadarTracks, SelfReport, SensorMessage, worst
-from services.jetson.fusion.evidence import RANK
+from common.messages import (
+    CameraDetection,
+    CameraDetections,
+    LaneLayout,
+    Level,
+    LidarZone,
+    LidarZones,
+    Message,
+    ObjectTracks,
+    RadarTrack,
+    RadarTracks,
+    SelfReport,
+    worst,
+)
+from services.jetson.fusion.evidence import RANK, Place, Sighting
 
 T = TypeVar("T")
+
+LIDAR_HALF_CONE = math.tan(math.radians(20.0))  # the lidar judges no return outside
+USUAL_LANES = LaneLayout(centre_width_m=0.25, side_width_m=0.19, look_ahead_m=3.0, imminent_m=0.8, caution_m=1.8)
+PICTURE_WIDTH = 1.6  # metres that a picture is wide at one metre; only to tell objects side by side apart
+RADAR_RADIUS_M, CAMERA_RADIUS_M = 0.2, 0.25
+MAX_SIGHTINGS = 16  # the worst and nearest
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,10 +45,16 @@ class Reading:
     static_level: Level | None = None
     nearest_m: float | None = None
     deciding: dict[str, Any] | None = None
+    sightings: tuple[Sighting, ...] = ()
+    raw_level: Level | None = None  # before the sensor's own counting
 
 
 def read(message: Message) -> Reading:
-    """The reading of a lidar, radar or camera message; of any other sensor message its own word on itself."""
+    """The reading of one sensor's message. The roadside's level is worked out later, from its tracks.
+
+    Raises:
+        TypeError: a message without a reading: its sensor would pass for one that sees nothing.
+    """
     match message:
         case LidarZones():
             return read_lidar(message)
@@ -36,7 +62,7 @@ def read(message: Message) -> Reading:
             return read_radar(message)
         case CameraDetections():
             return read_camera(message)
-        case SensorMessage():
+        case ObjectTracks():
             return Reading(message.state, message.reason)
     raise TypeError(f"no reading for {type(message).__name__}")
 
@@ -47,7 +73,19 @@ def read_lidar(message: LidarZones) -> Reading:
     name, zone = _most_serious(zones.items(), lambda item: (item[1].level, item[1].nearest_m))
     deciding = {"zone": name, "nearest_m": zone.nearest_m, "points": zone.points, "level": zone.level}
     level = worst(message.level, *(z.level for z in zones.values()))
-    return Reading(message.state, message.reason, level, None, zone.nearest_m, deciding)
+    lanes = message.layout or USUAL_LANES
+    seen = _foremost(_lane_sighting(one, z, lanes) for one, z in zones.items() if z.level != "SAFE")
+    return Reading(message.state, message.reason, level, None, zone.nearest_m, deciding, seen, message.raw_level)
+
+
+def _lane_sighting(name: str, zone: LidarZone, lanes: LaneLayout) -> Sighting:
+    """The lane's nearest obstacle: in the lane's middle, or where the cone's edge cuts the lane."""
+    side = {"left": 1.0, "centre": 0.0, "right": -1.0}[name]
+    width_m = lanes.side_width_m if side else lanes.centre_width_m
+    if zone.nearest_m is None:
+        return Sighting(zone.level, None, name, key=name)
+    middle_m = side * min((lanes.centre_width_m + lanes.side_width_m) / 2, zone.nearest_m * LIDAR_HALF_CONE)
+    return Sighting(zone.level, Place(zone.nearest_m, middle_m, width_m / 2), name, key=name)
 
 
 def read_radar(message: RadarTracks) -> Reading:
@@ -67,7 +105,15 @@ def read_radar(message: RadarTracks) -> Reading:
         "ttc_s": track.ttc_s,
         "level": track.level,
     }
-    return Reading(state, reason, level, message.static_level, track.range_m, deciding)
+    seen = _foremost(track_sighting(track) for track in message.tracks if track.level != "SAFE")
+    return Reading(state, reason, level, message.static_level, track.range_m, deciding, seen)
+
+
+def track_sighting(track: RadarTrack) -> Sighting:
+    """One track as the verdict takes it."""
+    azimuth_rad = track.azimuth_rad or 0.0
+    x_m, y_m = track.range_m * math.cos(azimuth_rad), track.range_m * math.sin(azimuth_rad)
+    return Sighting(track.level, Place(x_m, y_m, RADAR_RADIUS_M))
 
 
 def read_camera(message: CameraDetections) -> Reading:
@@ -84,7 +130,24 @@ def read_camera(message: CameraDetections) -> Reading:
         "level": detection.level,
     }
     level = worst(*(d.level for d in ahead), *([message.level] if message.level else []))
-    return Reading(message.state, message.reason, level, None, detection.distance_m, deciding)
+    seen = _foremost(_box_sighting(one, message.image_size_px[0]) for one in ahead)
+    return Reading(message.state, message.reason, level, None, detection.distance_m, deciding, seen)
+
+
+def _box_sighting(detection: CameraDetection, width_px: int) -> Sighting:
+    distance_m = detection.distance_m if detection.nearest_m is None else detection.nearest_m
+    left_px, _, right_px, _ = detection.box_xyxy_px
+    aside = 0.5 - (left_px + right_px) / 2 / width_px if width_px else 0.0  # share of the width, to the left
+    return Sighting(
+        detection.level, Place(distance_m, aside * PICTURE_WIDTH * distance_m, CAMERA_RADIUS_M), detection.label
+    )
+
+
+def _foremost(sightings: Iterable[Sighting]) -> tuple[Sighting, ...]:
+    def order(sighting: Sighting) -> tuple[int, float]:
+        return -RANK[sighting.level], math.inf if sighting.place is None else sighting.place.x_m
+
+    return tuple(sorted(sightings, key=order)[:MAX_SIGHTINGS])
 
 
 def _most_serious(items: Iterable[T], key: Callable[[T], tuple[Level, float | None]]) -> T:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from common.messages import SensorHealth, ServiceHealth, ServiceState, SystemHealth
+from common.messages import SensorHealth, ServiceHealth, ServiceState, SystemHealth, least_live
+from common.topics import ONBOARD_SENSORS, spoken
 from services.jetson.fusion.bar import bar
+from services.jetson.fusion.clocks import WRONG_CLOCK_S, clock_words
 from services.jetson.fusion.config import FusionConfig
-from services.jetson.fusion.health import STATUS_AGE_LIMIT_S
-from services.jetson.fusion.inbox import MAX_NAMES, ONBOARD, Inbox
+from services.jetson.fusion.inbox import MAX_NAMES, Inbox
 from services.jetson.fusion.latency import LatencyBook
 from services.jetson.fusion.observation import Observation
 
@@ -21,8 +22,8 @@ class Reporter:
     def __init__(self, config: FusionConfig, inbox: Inbox, latency: LatencyBook) -> None:
         self._config, self._inbox, self._latency = config, inbox, latency
         self._services: dict[str, ServiceHealth] = {}
-        self._told: object = None
-        self._told_s = float("-inf")
+        self._reported: object = None
+        self._reported_s = float("-inf")
 
     def report(self, seen: Observation, sensors: dict[str, SensorHealth]) -> SystemHealth | None:
         """SystemHealth when something has changed or its period is over, else None."""
@@ -30,18 +31,20 @@ class Reporter:
         news = (
             seen.isolated,
             self._inbox.own_clock_doubt(seen.now_s),
-            {name: (sensor.state, sensor.cause) for name, sensor in sensors.items()},
+            {name: (sensor.state, sensor.cause, sensor.source_kind) for name, sensor in sensors.items()},
             {name: (service.state, service.instances) for name, service in services.items()},
         )
-        if news == self._told and seen.now_s - self._told_s < self._config.health.health_period_s:
+        if news == self._reported and seen.now_s - self._reported_s < self._config.health.health_period_s:
             return None
-        self._told, self._told_s = news, seen.now_s
+        self._reported, self._reported_s = news, seen.now_s
         return self._compose(seen, sensors, services)
 
     def _compose(
         self, seen: Observation, sensors: dict[str, SensorHealth], services: dict[str, ServiceHealth]
     ) -> SystemHealth:
-        colour, summary = bar({name: sensors[name].state for name in ONBOARD})
+        onboard = {name: sensors[name].state for name in ONBOARD_SENSORS if name in sensors}
+        beside_the_road = {name: sensors[name].state for name in sensors if name not in onboard}
+        colour, summary = bar(onboard, beside_the_road if self._config.roadside.enabled else None)
         if seen.isolated:
             colour, summary = "red", ISOLATED
         doubt = self._inbox.own_clock_doubt(seen.now_s)
@@ -52,19 +55,21 @@ class Reporter:
             if sensors[name].state == "online":
                 sensors[name].reason = text
         clocks = {
-            f"{watch.host}/{watch.service}": told
+            f"{watch.host}/{watch.service}": clock
             for name, watch in self._inbox.watches.items()
-            if (told := self._inbox.clocks[name].health(seen.now_s)) is not None
+            if (clock := self._inbox.clocks[name].health(seen.now_s)) is not None
         }
         notes = [
             *([doubt] if doubt else []),
+            *([self._inbox.own_speed.note] if self._inbox.own_speed.note else []),
             *self._waiting(),
             *self._far_away(),
-            *(f"{name} {text}" for name, text in late.items()),
+            *(f"{spoken(name)} {text}" for name, text in late.items()),
         ]
+        notes += [f"{n}: {services[n].reason}, the site has it" for n in self._config.expects if not services[n].alive]
         notes += [f"{n}: {s.instances} processes claim this name" for n, s in services.items() if s.instances > 1]
         notes += [
-            f"clock of {name} is {clock.offset_ms / 1e3:+.3f} s from ours; ages are corrected for it"
+            _offset_words(name, clock.offset_ms / 1e3)
             for name, clock in clocks.items()
             if abs(clock.offset_ms) > NOTABLE_OFFSET_MS
         ]
@@ -76,7 +81,9 @@ class Reporter:
             summary=summary,
             services=services,
             clocks=clocks,
+            vehicle=self._config.vehicle.name,
             notes=notes[:MAX_NOTES],
+            source_kind=least_live(sensor.source_kind for sensor in sensors.values() if sensor.age_ms is not None),
         )
 
     def _waiting(self) -> list[str]:
@@ -93,7 +100,7 @@ class Reporter:
 
     def _judge_services(self, seen: Observation) -> dict[str, ServiceHealth]:
         instances = self._inbox.roster.services
-        expected = {f"{watch.host}/{watch.service}" for watch in self._inbox.watches.values()}
+        expected = {f"{watch.host}/{watch.service}" for watch in self._inbox.watches.values()} | {*self._config.expects}
         known = expected | set(self._services) | set(instances)
         names = expected | set(sorted(known - expected)[:MAX_NAMES])
         self._services = {name: self._judge_service(name, len(instances.get(name, ())), seen) for name in sorted(names)}
@@ -104,8 +111,16 @@ class Reporter:
         state: ServiceState = "starting"
         reason = "no status yet"
         if instances == 0:
-            state, reason = "disconnected", "no process"
-        elif status is not None and seen.now_s - status.arrived_s <= STATUS_AGE_LIMIT_S:
+            fault = seen.link_faults.get(name.partition("/")[0])
+            state, reason = "disconnected", fault.why if fault else "no process"
+        elif status is not None and status.is_fresh(seen.now_s):
             state, reason = status.message.state, status.message.reason
         since_ns = last.since_ns if last is not None and last.state == state else seen.now_ns
         return ServiceHealth(alive=instances > 0, instances=instances, state=state, reason=reason, since_ns=since_ns)
+
+
+def _offset_words(name: str, offset_s: float) -> str:
+    """An offset that is corrected for; a clock that is wrong by hours is the host's, and told as such."""
+    if abs(offset_s) > WRONG_CLOCK_S:
+        return f"{clock_words(name.partition('/')[0], offset_s)}; ages are corrected for it"
+    return f"clock of {name} is {offset_s:+.3f} s from ours; ages are corrected for it"

@@ -1,23 +1,26 @@
 """Tracks of the roadside lidar, seen from the vehicle: does one of them run into us, and when?
 
 Each track is carried from its measurement to now with constant velocity, its covariance with it
-(P' = F P F^T + Q, white acceleration), then into the vehicle's frame and relative to the vehicle's own motion. The time
-to collision is when the relative path enters the vehicle's outline, widened by the object's size and uncertainty
-(slab method, Kay and Kajiya 1986).
+(P' = F P F^T + Q, white acceleration), then into the vehicle's frame. The time to collision is when its oriented box
+touches the vehicle's outline, both on their ways (``outlines.py``). Our own vehicle is among the tracks
+(``own_track.py``).
 """
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from common.geometry import invert
-from common.messages import LEVELS, Level, ObjectTrack
+from common.messages import LEVELS, Level, ObjectTrack, ObjectTracks
 from services.jetson.fusion.config import RoadsideConfig
 from services.jetson.fusion.evidence import RANK
+from services.jetson.fusion.outlines import Boxes, Outline, time_to_touch
+from services.jetson.fusion.own_track import OwnTrack
+from services.jetson.fusion.vehicle import Vehicle
 
 MAX_SIGMA_M = 2.0  # a track less certain than this says nothing about a corridor of a metre
 
@@ -31,98 +34,119 @@ class Threat:
     deciding: dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
-class TrackTable:
-    """The tracks of one message as arrays."""
+class Around(NamedTuple):
+    """The tracks of one message as the vehicle sees them now."""
 
     tracks: tuple[ObjectTrack, ...]
-    position_m: np.ndarray  # (N, 3) float64, map frame, at the measurement
-    velocity_mps: np.ndarray  # (N, 3) map frame
-    covariance: np.ndarray  # (N, 6, 6) of position and velocity
-    radius_m: np.ndarray  # (N,) of the circle around the box
+    boxes: Boxes
+    sigma_m: np.ndarray  # (N,) the larger standard deviation of the place in the plane
+    relative_mps: np.ndarray  # (N, 2) velocity as the moving, turning vehicle sees it
+    beside_m: np.ndarray  # (N,) from the outline to the middle of the box; 0 inside
 
 
-def tabulate(tracks: list[ObjectTrack]) -> TrackTable:
+def counting(tracks: list[ObjectTrack]) -> tuple[ObjectTrack, ...]:
     """Confirmed and coasting tracks of anything that is not scenery; what has no class keeps its right to alarm."""
-    kept = tuple(track for track in tracks if track.state != "tentative" and track.label != "background")
-    return TrackTable(
-        kept,
-        np.array([track.position_m for track in kept], float).reshape(len(kept), 3),
-        np.array([track.velocity_mps for track in kept], float).reshape(len(kept), 3),
-        np.array([track.covariance for track in kept], float).reshape(len(kept), 6, 6),
-        np.array([max(track.size_m[0], track.size_m[1]) / 2 for track in kept], float),
+    return tuple(track for track in tracks if track.state != "tentative" and track.label != "background")
+
+
+def look_around(
+    tracks: tuple[ObjectTrack, ...], age_s: float, T_map_vehicle: np.ndarray, own: Outline, acceleration_mps2: float
+) -> Around:
+    """The tracks now, ``age_s`` after they were measured, in the frame of the vehicle."""
+    n = len(tracks)
+    position = np.array([track.position_m for track in tracks], float).reshape(n, 3)
+    velocity = np.array([track.velocity_mps for track in tracks], float).reshape(n, 3)
+    covariance = np.array([track.covariance for track in tracks], float).reshape(n, 6, 6)
+    # 1. from the measurement to now
+    F = np.eye(6)
+    F[:3, 3:] = age_s * np.eye(3)
+    covariance = F @ covariance @ F.T
+    covariance[:, range(2), range(2)] += (acceleration_mps2 * age_s**2 / 2) ** 2
+    # 2. from the map to the vehicle
+    T = invert(T_map_vehicle)
+    centre = (position + age_s * velocity) @ T[:3, :3].T + T[:3, 3]
+    over_ground = velocity @ T[:3, :3].T
+    turn = np.kron(np.eye(2), T[:3, :3])
+    plane = (turn @ covariance @ turn.T)[:, [0, 1, 3, 4]][:, :, [0, 1, 3, 4]]
+    yaw = np.array([track.yaw_rad for track in tracks], float) + np.arctan2(T[1, 0], T[0, 0])
+    half_m = np.array([track.size_m[:2] for track in tracks], float).reshape(n, 2) / 2
+    # 3. relative to the vehicle
+    turning = own.yaw_rate_radps * np.column_stack([-centre[:, 1], centre[:, 0]])
+    return Around(
+        tracks,
+        Boxes(centre[:, :2], over_ground[:, :2], yaw, half_m, plane),
+        np.sqrt(np.maximum(np.linalg.eigvalsh(plane[:, :2, :2])[:, -1], 0.0)) if n else np.zeros(0),
+        over_ground[:, :2] - np.array([own.speed_mps, 0.0]) - turning,
+        _beside(centre, own),
     )
 
 
-def compensate(table: TrackTable, age_s: float, acceleration_mps2: float) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (N, 3) now, and the larger standard deviation (N,) of each in the plane."""
-    F = np.eye(6)
-    F[:3, 3:] = age_s * np.eye(3)
-    predicted = F @ table.covariance @ F.T
-    variance = np.linalg.eigvalsh(predicted[:, :2, :2])[:, -1] + (acceleration_mps2 * age_s**2 / 2) ** 2
-    return table.position_m + age_s * table.velocity_mps, np.sqrt(np.maximum(variance, 0.0))
-
-
-def relative_motion(
-    position_m: np.ndarray,
-    velocity_mps: np.ndarray,
-    T_map_vehicle: np.ndarray,
-    speed_mps: float,
-    yaw_rate_radps: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities (N, 2) in the vehicle's frame, as the moving, turning vehicle sees them."""
-    T_vehicle_map = invert(T_map_vehicle)
-    rotation, origin_m = T_vehicle_map[:3, :3], T_vehicle_map[:3, 3]
-    position, velocity = position_m @ rotation.T + origin_m, velocity_mps @ rotation.T
-    turning = yaw_rate_radps * np.column_stack([-position[:, 1], position[:, 0]])
-    return position[:, :2], velocity[:, :2] - np.array([speed_mps, 0.0]) - turning
-
-
-def time_to_enter(
-    position_m: np.ndarray, velocity_mps: np.ndarray, low_m: np.ndarray, high_m: np.ndarray
-) -> np.ndarray:
-    """(N,) seconds until each straight path is inside its box (N, 2 corners); inf = never, 0 = already inside."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        to_low, to_high = (low_m - position_m) / velocity_mps, (high_m - position_m) / velocity_mps
-    inside = (position_m >= low_m) & (position_m <= high_m)
-    still = velocity_mps == 0.0
-    enter = np.where(still, np.where(inside, -np.inf, np.inf), np.minimum(to_low, to_high)).max(axis=1)
-    leave = np.where(still, np.inf, np.maximum(to_low, to_high)).min(axis=1)
-    return np.where((leave >= 0.0) & (enter <= leave), np.maximum(enter, 0.0), np.inf)
-
-
-def find_threat(
-    table: TrackTable,
-    age_s: float,
-    T_map_vehicle: np.ndarray,
-    speed_mps: float,
-    yaw_rate_radps: float,
-    config: RoadsideConfig,
-) -> Threat | None:
-    """The most urgent track on its way into the vehicle's outline; None when nothing is.
-
-    A track whose centre lies in the outline is the vehicle itself as the pole sees it.
-    """
-    if not table.tracks:
+def find_threat(around: Around, own: Outline, own_id: int | None, config: RoadsideConfig) -> Threat | None:
+    """The most urgent track on its way into the vehicle's outline; None when nothing is. ``own_id`` is ourselves."""
+    if not around.tracks:
         return None
-    # 1. from the measurement to now
-    position_m, sigma_m = compensate(table, age_s, config.acceleration_mps2)
-    # 2. from the map to the vehicle
-    position, velocity = relative_motion(position_m, table.velocity_mps, T_map_vehicle, speed_mps, yaw_rate_radps)
-    # 3. when does each path enter the widened outline
-    low, high = np.array([-config.rear_m, -config.half_width_m]), np.array([config.front_m, config.half_width_m])
-    margin = (table.radius_m + config.sigmas * sigma_m)[:, None]
-    ttc_s = time_to_enter(position, velocity, low - margin, high + margin)
-    # 4. only what moves, is certain enough and is not ourselves
-    itself = ((position >= low) & (position <= high)).all(axis=1)
-    slow = np.linalg.norm(velocity, axis=1) < config.min_speed_mps
-    receding = (position * velocity).sum(axis=1) >= 0.0
-    ttc_s = np.where(itself | slow | receding | (sigma_m > MAX_SIGMA_M), np.inf, ttc_s)
+    ttc_s = time_to_touch(around.boxes, own, config.caution_ttc_s, config.sigmas)
+    # only what moves, is certain enough and is not ourselves; what touches us already counts while it comes nearer
+    itself = np.array([track.track_id == own_id for track in around.tracks])
+    slow = np.linalg.norm(around.relative_mps, axis=1) < config.min_speed_mps
+    leaving = (ttc_s == 0.0) & ((around.boxes.centre_m * around.relative_mps).sum(axis=1) >= 0.0)
+    ttc_s = np.where(itself | slow | leaving | (around.sigma_m > MAX_SIGMA_M), np.inf, ttc_s)
     first = int(np.argmin(ttc_s))
     if ttc_s[first] >= config.caution_ttc_s:
         return None
-    level: Level = "IMMINENT" if ttc_s[first] < config.imminent_ttc_s else "CAUTION"
-    return _threat(level, table.tracks[first], position[first], velocity[first], ttc_s[first], sigma_m[first])
+    return _threat("IMMINENT" if ttc_s[first] < config.imminent_ttc_s else "CAUTION", around, first, ttc_s[first])
+
+
+def _beside(centre_m: np.ndarray, own: Outline) -> np.ndarray:
+    """(N,) from the outline to points (N, 2 or 3), 0 inside it."""
+    x, y = centre_m[:, 0], np.abs(centre_m[:, 1])
+    outside_x = np.maximum(np.maximum(x - own.front_m, -own.rear_m - x), 0.0)
+    return np.asarray(np.hypot(outside_x, np.maximum(y - own.half_width_m, 0.0)))
+
+
+class RoadsideWatch:
+    """What the roadside means for us, message by message: finds ourselves among the tracks, and the threat."""
+
+    def __init__(self, config: RoadsideConfig) -> None:
+        self._config = config
+        self._own_track = OwnTrack()
+        self._alarm = RoadsideAlarm(config)
+
+    def reset(self) -> None:
+        """The roadside or our pose is gone; what was said is worth nothing any more."""
+        self._alarm.reset()
+        self._own_track.reset()
+
+    def take(self, message: ObjectTracks, age_s: float, vehicle: Vehicle) -> None:
+        """One more message, ``age_s`` after its measurement; unknown motion counts as standing, as it must for a pose
+        that is only configured.
+
+        Raises:
+            ValueError: the vehicle's pose is unknown.
+        """
+        if vehicle.T_map_vehicle is None:
+            raise ValueError("without the vehicle's pose no track can be placed")
+        config = self._config
+        own = Outline(
+            config.front_m, config.rear_m, config.half_width_m, vehicle.ground_speed_mps, vehicle.ground_yaw_rate_radps
+        )
+        tracks = counting(message.tracks)
+        around = look_around(tracks, age_s, vehicle.T_map_vehicle, own, config.acceleration_mps2)
+        reach = np.where(around.beside_m <= config.own_error_m, around.beside_m, np.inf)
+        speeds = np.linalg.norm(around.relative_mps, axis=1)
+        differs_mps = config.own_speed_mps if vehicle.ground_motion_is_known else np.inf
+        own_id = self._own_track.find([track.track_id for track in tracks], reach, speeds, differs_mps)
+        self._alarm.update(find_threat(around, own, own_id, config))
+
+    @property
+    def level(self) -> Level | None:
+        """The debounced level, None when there is none."""
+        return self._alarm.level
+
+    @property
+    def threat(self) -> Threat | None:
+        """The newest threat, for the explanation."""
+        return self._alarm.threat
 
 
 class RoadsideAlarm:
@@ -155,15 +179,14 @@ class RoadsideAlarm:
         return LEVELS[self._rank] if self._rank else None
 
 
-def _threat(
-    level: Level, track: ObjectTrack, position: np.ndarray, velocity: np.ndarray, ttc_s: float, sigma_m: float
-) -> Threat:
+def _threat(level: Level, around: Around, index: int, ttc_s: float) -> Threat:
+    track, position, velocity = around.tracks[index], around.boxes.centre_m[index], around.relative_mps[index]
     deciding = {
         "track_id": track.track_id,
         "label": track.label,
         "position_m": [round(float(v), 2) for v in position],
         "velocity_mps": [round(float(v), 2) for v in velocity],
         "ttc_s": round(float(ttc_s), 2),
-        "sigma_m": round(float(sigma_m), 2),
+        "sigma_m": round(float(around.sigma_m[index]), 2),
     }
     return Threat(level, float(np.linalg.norm(position)), deciding)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 
-from common.presence import Instance, claimants
+from common.bus.presence import Instance, claimants
 
 
 class Roster:

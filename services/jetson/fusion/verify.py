@@ -14,9 +14,8 @@ import msgspec
 
 from common.codec import DecodeError, decode, to_builtins
 from common.messages import FusionTrace, Message, Verdict
-from common.topics import find_topic
+from common.topics import SENSOR_TOPICS, find_topic
 from services.jetson.fusion.evidence import FusionMemory, SensorInput
-from services.jetson.fusion.inbox import SENSOR_TOPICS
 from services.jetson.fusion.readings import Reading, read
 from services.jetson.fusion.trace import decide_again, inputs_of, memory_of
 
@@ -113,9 +112,12 @@ def _check_input(name: str, sensor: SensorInput | None, report: Report, pending:
     if reading is None:
         return ""  # it came before the recording began
     report.inputs_checked += 1
-    said = (reading.level, reading.static_level, reading.nearest_m)
-    used = (sensor.level, sensor.static_level, sensor.nearest_m)
-    return "" if said == used else f"{name} said (level, static level, nearest m) {said}, fusion used {used}"
+    raw_level = reading.raw_level if sensor.raw_level is not None else None  # traces of before it was used have none
+    said = (reading.level, reading.static_level, reading.nearest_m, reading.sightings, raw_level)
+    used = (sensor.level, sensor.static_level, sensor.nearest_m, sensor.sightings, sensor.raw_level)
+    if said == used:
+        return ""
+    return f"{name} said (level, static level, nearest m, objects, raw level) {said}, fusion used {used}"
 
 
 def _difference(recorded: Verdict, again: Verdict) -> str:

@@ -8,14 +8,18 @@ from pathlib import Path
 
 import typer
 
+from common.bus.ego import EgoWatch
+from common.bus.look import add_look
+from common.bus.raw_tap import RawTap
+from common.bus.runtime import Service
+from common.bus.service_app import flag_as_command, load_config, service_app
+from common.bus.status import Report
 from common.clock import monotonic_s
-from common.launch import flag_as_command, load_config, service_app
-from common.raw import RawTap
-from common.runtime import Service
-from common.status import Report
-from common.topics import LIDAR_RAW, LIDAR_SCAN, LIDAR_ZONES
+from common.messages import EgoMotion
+from common.topics import EGO_MOTION, LIDAR_RAW, LIDAR_SCAN, LIDAR_ZONES
 from services.jetson.lidar.config import LidarConfig
-from services.jetson.lidar.filters import Fate
+from services.jetson.lidar.filters import RejectReason
+from services.jetson.lidar.look import looks
 from services.jetson.lidar.pipeline import LidarPipeline
 from services.jetson.lidar.source import open_source
 
@@ -26,18 +30,23 @@ def run(config: LidarConfig) -> bool:
     with Service("lidar", config) as service:
         publish_zones, publish_scan = service.publisher(LIDAR_ZONES), service.publisher(LIDAR_SCAN)
         raw = RawTap(service.publisher(LIDAR_RAW))
+        ego = EgoWatch(service.latest(EGO_MOTION, EgoMotion, config.ego_host), config.path)
         for stamp_ns, scan in open_source(config, service.report, raw):
             begin_s = monotonic_s()
-            zones = pipeline.process(stamp_ns, scan)
+            if not config.source.startswith("mcap:"):
+                scan.motion = ego.now()
+            raw.about["motion"] = scan.motion  # with the piece that closed this scan, which is sent after it
+            zones = pipeline.process(stamp_ns, scan, scan.motion)
             zones.stage_ms = {"zones": (monotonic_s() - begin_s) * 1e3}
             publish_zones(zones)  # first: somebody decides on it
-            scan.used = (pipeline.fate == Fate.USED).astype("uint8")
+            scan.used = (pipeline.reject_reason == RejectReason.USED).astype("uint8")
             scan.state, scan.reason = zones.state, zones.reason
             publish_scan(scan)
     return service.closed_cleanly
 
 
 app = service_app("lidar", LidarConfig, run, __doc__)
+add_look(app, LidarConfig, looks)
 
 
 @app.command()
@@ -53,7 +62,7 @@ def plot(
     pipeline = LidarPipeline(config)
     for stamp_ns, scan in islice(open_source(config, Report("plot")), scans):
         zones = pipeline.process(stamp_ns, scan)
-        save(picture, draw(scan, pipeline.fate, zones, config))
+        save(picture, draw(scan, pipeline.reject_reason, zones, config))
 
 
 def main() -> None:

@@ -20,6 +20,10 @@ from services.jetson.lidar.timing import MAX_DRIFT, DeviceClock
 
 Piece = tuple[Packet, int, int]  # a packet, and the first and behind-last of its returns that belong
 HALF_TURN_DEG = 180.0
+CLOCK_RESOLUTION_MS = 1.0
+WRONG_RATE = 1.4  # times the configured rate; a packet of a slower sensor is refused by the parser
+MIN_PACKETS_FOR_RATE = 10
+FAMILY = "LD06 and LD19 give 4500, the STL-27L 21600 (services/jetson/lidar/stl27l.toml)"
 TOO_LONG = 1.4  # vendor SDK: a revolution with more returns than this times the expected ones has lost its index
 
 
@@ -91,12 +95,12 @@ class ScanAssembler:
         return scans
 
     def _notice_gap(self, packet: Packet, device_ms: int) -> None:
-        """A step of the sensor's clock beyond 1.5 packet periods is loss."""
+        """A step of the sensor's clock beyond a packet's period and its resolution of 1 ms is loss."""
         step_ms = 0 if self._last_ms is None else device_ms - self._last_ms
         self._gap_deg = 0.0
         if self._last_ms is None:
             self._began_ms = device_ms
-        if step_ms > 1.5 * self._packet_ms:
+        if step_ms > self._packet_ms + CLOCK_RESOLUTION_MS:
             self.counters["gaps"] += 1
             self.counters["lost_packets"] += max(1, round(step_ms / self._packet_ms) - 1)
             self._gap_deg = step_ms * 1e-3 * packet.speed_dps
@@ -116,14 +120,32 @@ class ScanAssembler:
             return []
         speed_hz = float(np.median([packet.speed_dps for packet, _, _ in pieces])) / 360.0
         points = sum(stop - start for _, start, stop in pieces)
-        if not stalled and points * speed_hz > TOO_LONG * self._scan.sample_rate_hz:
+        wrong_rate = self._wrong_rate([packet for packet, _, _ in pieces])
+        if not stalled and not wrong_rate and points * speed_hz > TOO_LONG * self._scan.sample_rate_hz:
             self.counters["overlong_scans"] += 1
             return []
         scan = self._scan_of(pieces, utc - int(after_s * 1e9))
-        if stalled or speed_hz < self._scan.slowest_hz:
+        if wrong_rate:
+            scan.state, scan.reason = "degraded", wrong_rate
+        elif stalled or speed_hz < self._scan.slowest_hz:
             scan.state = "degraded"
             scan.reason = f"motor slow or stalled: {speed_hz:.1f} turns a second; is the scanner free to turn?"
         return [scan]
+
+    def _wrong_rate(self, packets: list[Packet]) -> str:
+        """A sentence when the packets' own angles and speed tell another sample rate than the configuration; or ""."""
+        spans_deg = np.array([(packet.end_deg - packet.start_deg) % 360.0 for packet in packets])
+        speeds_dps = np.array([packet.speed_dps for packet in packets])
+        turning = (spans_deg > 0.0) & (speeds_dps >= 360.0 * self._scan.slowest_hz)
+        if np.count_nonzero(turning) < MIN_PACKETS_FOR_RATE:
+            return ""
+        rate_hz = float(np.median(speeds_dps[turning] * (POINTS - 1) / spans_deg[turning]))
+        if rate_hz <= WRONG_RATE * self._scan.sample_rate_hz:
+            return ""
+        return (
+            f"the packets tell {round(rate_hz, -2):.0f} returns a second, [scan] sample_rate_hz says "
+            f"{self._scan.sample_rate_hz:.0f}: {FAMILY}"
+        )
 
     def _scan_of(self, pieces: list[Piece], stamp_ns: int) -> LaserScan:
         angles = np.concatenate([packet.angles_rad[i:j] for packet, i, j in pieces])

@@ -7,6 +7,7 @@ from typing import Annotated
 from msgspec import Meta, field
 
 from common.config import Section, ServiceConfig
+from common.path import PathConfig
 
 Positive = Annotated[float, Meta(gt=0.0, le=1e6)]
 NotNegative = Annotated[float, Meta(ge=0.0, le=1e6)]
@@ -47,6 +48,21 @@ class ScanSection(Section, frozen=True, kw_only=True):
     slowest_hz: Annotated[float, Meta(ge=0.1, le=20.0)] = 3.0
 
 
+class IgnoredSector(Section, frozen=True, kw_only=True):
+    """A part of the vehicle that the sensor sees, such as a bracket: what returns from there is not an obstacle."""
+
+    from_deg: Degrees
+    to_deg: Degrees
+    within_m: Positive
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.to_deg - self.from_deg <= 180.0:
+            raise ValueError(
+                f"[filter] ignore: expected from_deg < to_deg, 180 degrees apart at the most (counter-clockwise, 0 is "
+                f"ahead), got {self.from_deg} and {self.to_deg}"
+            )
+
+
 class FilterSection(Section, frozen=True, kw_only=True):
     """Which returns are believed."""
 
@@ -59,6 +75,7 @@ class FilterSection(Section, frozen=True, kw_only=True):
     isolated_within_m: NotNegative = 5.0
     neighbour_m: Positive = 0.05
     neighbour_share: Share = 0.05
+    ignore: tuple[IgnoredSector, ...] = ()
 
 
 class ZonesSection(Section, frozen=True, kw_only=True):
@@ -74,6 +91,11 @@ class ZonesSection(Section, frozen=True, kw_only=True):
     min_points: Annotated[int, Meta(ge=1, le=1000)] = 2
     max_points: Annotated[int, Meta(ge=1, le=1000)] = 6
     near_m: Positive = 0.15
+    caution_lead_s: NotNegative = 1.9
+    curve_lead_s: NotNegative = 0.3
+    cover_far_m: NotNegative = 8.0
+    cover_half_deg: Annotated[float, Meta(ge=1.0, le=90.0)] = 90.0
+    thin_scans: Annotated[int, Meta(ge=1, le=10)] = 3
 
     def __post_init__(self) -> None:
         if not self.imminent_m <= self.caution_m <= self.look_ahead_m:
@@ -93,6 +115,31 @@ class PersistenceSection(Section, frozen=True, kw_only=True):
     raise_s: NotNegative = 0.3
     clear_s: NotNegative = 0.4
     max_gap_s: Positive = 0.5
+
+
+class MoversSection(Section, frozen=True, kw_only=True):
+    """What moves beside the way while the vehicle drives, and whether it will be in it."""
+
+    range_m: Positive = 7.0
+    points: Annotated[int, Meta(ge=1, le=1000)] = 2
+    join_m: Positive = 0.40
+    size_m: Positive = 1.1
+    free_m: Positive = 0.30
+    same_size_m: Positive = 0.45
+    gate_m: Positive = 0.40
+    misses: Annotated[int, Meta(ge=0, le=10)] = 2
+    place_sigma_m: Positive = 0.08
+    speed_sigma_mps: Positive = 1.5
+    acceleration_mps2: Positive = 2.0
+    scans: Scans = 4
+    slowest_mps: Positive = 0.5
+    left_m: Positive = 0.25
+    sure_sigmas: Annotated[float, Meta(ge=0.0, le=5.0)] = 1.5
+    horizon_s: Positive = 4.0
+    sigmas: Annotated[float, Meta(ge=0.1, le=5.0)] = 0.5
+    imminent_s: Positive = 1.5
+    caution_lead_s: NotNegative = 0.8
+    hold_s: NotNegative = 0.4
 
 
 class HealthSection(Section, frozen=True, kw_only=True):
@@ -116,11 +163,14 @@ class LidarConfig(ServiceConfig, frozen=True, kw_only=True):
     """The whole configuration."""
 
     host: Annotated[str, Meta(pattern=r"^[a-z0-9_]+$")] = "jetson0"
-    source: str = "sim:crossing"
+    source: str = ""
+    ego_host: Annotated[str, Meta(pattern=r"^[a-z0-9_]+$")] = "jetson0"  # whose ego/motion is this vehicle's
     serial: SerialSection = field(default_factory=SerialSection)
     mounting: MountingSection = field(default_factory=MountingSection)
     scan: ScanSection = field(default_factory=ScanSection)
     filter: FilterSection = field(default_factory=FilterSection)
     zones: ZonesSection = field(default_factory=ZonesSection)
+    path: PathConfig = field(default_factory=PathConfig)
     persistence: PersistenceSection = field(default_factory=PersistenceSection)
+    movers: MoversSection = field(default_factory=MoversSection)
     health: HealthSection = field(default_factory=HealthSection)

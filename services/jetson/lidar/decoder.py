@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from common.bus.status import Report
 from common.messages import LaserScan
-from common.status import Report
-from services.jetson.lidar.assembly import ScanAssembler
+from services.jetson.lidar.assembly import FAMILY, ScanAssembler
 from services.jetson.lidar.config import LidarConfig
 from services.jetson.lidar.parser import PACKET_BYTES, POINTS, Ld06Parser
 from services.jetson.lidar.timing import MAX_DRIFT
@@ -68,7 +68,15 @@ class ScanDecoder:
             return
         if now_s - self._last_byte_s < patience_s:
             self._tell_counts()
-            why = "bytes arrive but no LD06 packet is among them: wrong device, baud rate or a bad line"
+            why = self._without_packets()
         else:
             why = "connected but silent: is the motor turning, and are 5 V and the data line connected?"
         self._report.state("disconnected", why)
+
+    def _without_packets(self) -> str:
+        """Why bytes arrive but no packet is believed."""
+        counters = self.parser.counters
+        if counters["angle_span"] > counters["crc"] and counters["angle_span"] > counters["packets"]:
+            rate_hz = self._config.scan.sample_rate_hz
+            return f"the packets' angles do not fit [scan] sample_rate_hz = {rate_hz:.0f}: {FAMILY}"
+        return "bytes arrive but no LD06 packet is among them: wrong device, baud rate or a bad line"

@@ -9,13 +9,13 @@ import numpy as np
 
 from common.geometry import wrap_angle
 from common.messages import LaserScan
-from services.jetson.lidar.config import FilterSection, MountingSection
+from services.jetson.lidar.config import FilterSection, IgnoredSector, MountingSection
 
 NEIGHBOURS = 3  # how many beams to either side may vouch for a return
 ENOUGH_NEIGHBOURS = 2
 
 
-class Fate(IntEnum):
+class RejectReason(IntEnum):
     """What became of a beam."""
 
     USED = 0
@@ -26,6 +26,7 @@ class Fate(IntEnum):
     BODY = 5  # on the vehicle itself
     WEAK = 6  # confidence too low
     ISOLATED = 7  # no neighbour agrees
+    IGNORED = 8  # a part of the vehicle that the configuration names
 
 
 @dataclass(frozen=True)
@@ -60,20 +61,39 @@ def returns_of(scan: LaserScan, mounting: MountingSection) -> Returns:
     )
 
 
-def judge(returns: Returns, config: FilterSection, mounting: MountingSection) -> np.ndarray:
-    """(N,) int64 ``Fate`` of each beam. Later reasons do not overwrite earlier ones."""
-    fate = np.full(len(returns.range_m), int(Fate.USED))
+def judge(
+    returns: Returns, config: FilterSection, mounting: MountingSection, before: Returns | None = None
+) -> np.ndarray:
+    """(N,) int64 ``RejectReason`` of each beam. Later reasons do not overwrite earlier ones.
+
+    ``before`` is the scan before: a pair of returns of a thin thing is believed when it was there already.
+    """
+    reject_reason = np.full(len(returns.range_m), int(RejectReason.USED))
     nothing = returns.range_m == 0.0
     strong = returns.confidence >= config.strong_echo
-    _mark(fate, nothing & ~strong, Fate.NO_ECHO)
-    _mark(fate, nothing, Fate.ECHO_ONLY)
-    _mark(fate, returns.range_m < config.min_range_m, Fate.NEAR)
-    _mark(fate, returns.range_m > config.max_range_m, Fate.FAR)
-    _mark(fate, on_body(returns, mounting, config.body_clearance_m), Fate.BODY)
-    _mark(fate, returns.confidence < config.min_confidence, Fate.WEAK)
-    candidates = np.flatnonzero(fate == Fate.USED)
-    fate[candidates[isolated(returns, candidates, config)]] = Fate.ISOLATED
-    return fate
+    _mark(reject_reason, nothing & ~strong, RejectReason.NO_ECHO)
+    _mark(reject_reason, nothing, RejectReason.ECHO_ONLY)
+    _mark(reject_reason, in_ignored(returns, config.ignore), RejectReason.IGNORED)
+    _mark(reject_reason, returns.range_m < config.min_range_m, RejectReason.NEAR)
+    _mark(reject_reason, returns.range_m > config.max_range_m, RejectReason.FAR)
+    _mark(reject_reason, on_body(returns, mounting, config.body_clearance_m), RejectReason.BODY)
+    _mark(reject_reason, returns.confidence < config.min_confidence, RejectReason.WEAK)
+    candidates = np.flatnonzero(reject_reason == RejectReason.USED)
+    alone = isolated(returns, candidates, config)
+    if before is not None and alone.any():
+        alone[alone] = ~pair_seen_again(returns, candidates[alone], before, config)
+    reject_reason[candidates[alone]] = RejectReason.ISOLATED
+    return reject_reason
+
+
+def in_ignored(returns: Returns, sectors: tuple[IgnoredSector, ...]) -> np.ndarray:
+    """(N,) bool: returns from the vehicle's own parts, by angle and range. What is behind such a part is hidden."""
+    found = np.zeros(len(returns.range_m), bool)
+    for sector in sectors:
+        width_rad = np.radians(sector.to_deg - sector.from_deg)
+        beyond_rad = (returns.angle_rad - np.radians(sector.from_deg)) % (2 * np.pi)
+        found |= (beyond_rad <= width_rad) & (returns.range_m > 0.0) & (returns.range_m <= sector.within_m)
+    return found
 
 
 def on_body(returns: Returns, mounting: MountingSection, clearance_m: float) -> np.ndarray:
@@ -91,6 +111,15 @@ def isolated(returns: Returns, candidates: np.ndarray, config: FilterSection) ->
     Here each return asks the beams beside it instead, so that a ghost in the middle of a wall does not split the wall.
     One return alone is never believed; one with a single neighbour needs ``lone_confidence``.
     """
+    reach = returns.range_m[candidates]
+    support = neighbours(returns, candidates, config)
+    bright = returns.confidence[candidates] >= config.lone_confidence
+    believed = (support >= ENOUGH_NEIGHBOURS) | ((support == 1) & bright)
+    return np.asarray(~believed & (reach <= config.isolated_within_m))
+
+
+def neighbours(returns: Returns, candidates: np.ndarray, config: FilterSection) -> np.ndarray:
+    """(K,) how many of the beams beside each candidate end at a similar range."""
     angle, reach = returns.angle_rad[candidates], returns.range_m[candidates]
     support = np.zeros(len(candidates), dtype=np.int64)
     tolerance = np.maximum(config.neighbour_m, config.neighbour_share * reach)
@@ -99,10 +128,21 @@ def isolated(returns: Returns, candidates: np.ndarray, config: FilterSection) ->
         agree = beside & (np.abs(reach[k:] - reach[:-k]) <= k * np.minimum(tolerance[k:], tolerance[:-k]))
         support[k:] += agree
         support[:-k] += agree
-    bright = returns.confidence[candidates] >= config.lone_confidence
-    believed = (support >= ENOUGH_NEIGHBOURS) | ((support == 1) & bright)
-    return np.asarray(~believed & (reach <= config.isolated_within_m))
+    return support
 
 
-def _mark(fate: np.ndarray, rejected: np.ndarray, why: Fate) -> None:
-    fate[rejected & (fate == Fate.USED)] = why
+def pair_seen_again(returns: Returns, alone: np.ndarray, before: Returns, config: FilterSection) -> np.ndarray:
+    """(K,) bool per lone candidate: it has a neighbour among the others, and the scan before had a return there."""
+    paired = neighbours(returns, alone, config) > 0
+    angle, reach = returns.angle_rad[alone], returns.range_m[alone]
+    within_rad = (NEIGHBOURS + 0.5) * returns.step_rad
+    near = np.abs(angle[:, None] - before.angle_rad) < within_rad
+    near &= (
+        np.abs(reach[:, None] - before.range_m)
+        <= np.maximum(config.neighbour_m, config.neighbour_share * reach)[:, None]
+    )
+    return np.asarray(paired & near.any(axis=1))
+
+
+def _mark(reject_reason: np.ndarray, rejected: np.ndarray, why: RejectReason) -> None:
+    reject_reason[rejected & (reject_reason == RejectReason.USED)] = why

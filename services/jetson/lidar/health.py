@@ -13,28 +13,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from services.jetson.lidar.config import FilterSection, HealthSection
-from services.jetson.lidar.filters import Fate, Returns
+from services.jetson.lidar.filters import RejectReason, Returns
 
-FATES = len(Fate)
+REASONS = len(RejectReason)
 
 
 @dataclass(frozen=True)
 class Evidence:
     """How the beams of one or more scans ended. Sectors run from right to left, one more on either side of the cone."""
 
-    fan: np.ndarray  # (sectors + 2, FATES) int counts
+    fan: np.ndarray  # (sectors + 2, REASONS) int counts
     reach_m: np.ndarray  # (sectors + 2,) sum of the ranges of what returned
-    ring: np.ndarray  # (FATES,) int counts outside the cone
+    ring: np.ndarray  # (REASONS,) int counts outside the cone
     motor: str  # what the assembler says about the motor; "" = turns
 
     @property
     def sectors(self) -> np.ndarray:
-        """(sectors, FATES) int counts inside the cone."""
+        """(sectors, REASONS) int counts inside the cone."""
         return self.fan[1:-1]
 
     @property
     def cone(self) -> np.ndarray:
-        """(FATES,) int counts inside the cone."""
+        """(REASONS,) int counts inside the cone."""
         return np.asarray(self.sectors.sum(axis=0))
 
     def __add__(self, other: Evidence) -> Evidence:
@@ -43,16 +43,16 @@ class Evidence:
         )
 
 
-def evidence(returns: Returns, fate: np.ndarray, fov_deg: float, sectors: int, motor: str = "") -> Evidence:
-    """Count the beams of one scan by sector of the cone and by fate."""
+def evidence(returns: Returns, reject_reason: np.ndarray, fov_deg: float, sectors: int, motor: str = "") -> Evidence:
+    """Count the beams of one scan by sector of the cone and by reject reason."""
     half_rad = np.radians(fov_deg / 2) + 1e-6
     sector = np.floor((returns.angle_rad + half_rad) / (2 * half_rad) * sectors).astype(np.int64) + 1
     ring = (sector < 1) | (sector > sectors)
     near = (sector >= 0) & (sector <= sectors + 1)
-    counts = np.bincount(sector[near] * FATES + fate[near], minlength=(sectors + 2) * FATES)
-    came_back = near & ((fate == Fate.USED) | (fate == Fate.ISOLATED))
+    counts = np.bincount(sector[near] * REASONS + reject_reason[near], minlength=(sectors + 2) * REASONS)
+    came_back = near & ((reject_reason == RejectReason.USED) | (reject_reason == RejectReason.ISOLATED))
     reach_m = np.bincount(sector[came_back], weights=returns.range_m[came_back], minlength=sectors + 2)
-    return Evidence(counts.reshape(-1, FATES), reach_m, np.bincount(fate[ring], minlength=FATES), motor)
+    return Evidence(counts.reshape(-1, REASONS), reach_m, np.bincount(reject_reason[ring], minlength=REASONS), motor)
 
 
 def could_see(seen: Evidence, returns: Returns, fov_deg: float, config: HealthSection) -> bool:
@@ -60,14 +60,14 @@ def could_see(seen: Evidence, returns: Returns, fov_deg: float, config: HealthSe
     measured, something came back from it, and most of it was not stopped at the lens."""
     measured = int(seen.cone.sum())
     expected = np.radians(fov_deg) / returns.step_rad
-    obstructed = seen.cone[[Fate.NEAR, Fate.ECHO_ONLY, Fate.WEAK]].sum()
+    obstructed = seen.cone[[RejectReason.NEAR, RejectReason.ECHO_ONLY, RejectReason.WEAK]].sum()
     share = config.observed_share
     return measured >= share * expected and _returned(seen.cone) > 0 and obstructed <= share * measured
 
 
 def covered_by_something_near(seen: Evidence, config: HealthSection) -> bool:
     """Most of the cone ends at a measured distance below the floor: a thing that has come that near is not gone."""
-    return bool(seen.cone[Fate.NEAR] > config.observed_share * seen.cone.sum())
+    return bool(seen.cone[RejectReason.NEAR] > config.observed_share * seen.cone.sum())
 
 
 class HealthMonitor:
@@ -120,7 +120,7 @@ def diagnose(total: Evidence, scans: int, config: HealthSection, filters: Filter
     if measured == 0:
         return f"no measurement in the forward cone for {scans} scans: packets are lost"
     # A lone return now and then is a ghost; one in every fifth scan is a thin pole that the sensor does see.
-    if cone[Fate.USED] == 0 and cone[Fate.ISOLATED] < max(1.0, 0.2 * scans):
+    if cone[RejectReason.USED] == 0 and cone[RejectReason.ISOLATED] < max(1.0, 0.2 * scans):
         return _blind(cone, total.ring, scans, config, filters)
     return _sectors(total, scans, config, fov_deg) or _dirty(cone, measured, scans, config, filters)
 
@@ -129,25 +129,25 @@ def _blind(cone: np.ndarray, ring: np.ndarray, scans: int, config: HealthSection
     """No return at any range: say what the beams did instead."""
     measured = int(cone.sum())
     enough = config.blind_share * measured
-    if cone[Fate.NEAR] >= enough:
+    if cone[RejectReason.NEAR] >= enough:
         return (
-            f"lens blocked: {_share(cone[Fate.NEAR], measured)} of the forward beams end nearer than "
+            f"lens blocked: {_share(cone[RejectReason.NEAR], measured)} of the forward beams end nearer than "
             f"{filters.min_range_m:.2f} m, none farther ({scans} scans)"
         )
-    if cone[Fate.ECHO_ONLY] >= enough:
+    if cone[RejectReason.ECHO_ONLY] >= enough:
         return (
-            f"lens covered: {_share(cone[Fate.ECHO_ONLY], measured)} of the forward beams come back bright but without "
-            f"a distance ({scans} scans)"
+            f"lens covered: {_share(cone[RejectReason.ECHO_ONLY], measured)} of the forward beams come back "
+            f"bright but without a distance ({scans} scans)"
         )
-    if cone[Fate.WEAK] >= enough:
+    if cone[RejectReason.WEAK] >= enough:
         return (
-            f"low confidence: {_share(cone[Fate.WEAK], measured)} of the forward beams come back weaker than "
+            f"low confidence: {_share(cone[RejectReason.WEAK], measured)} of the forward beams come back weaker than "
             f"{filters.min_confidence} ({scans} scans); clean the lens"
         )
-    around = f"; of the other beams {_share(_returned(ring), ring.sum())} return" if ring.sum() else ""
+    ring_text = f"; of the other beams {_share(_returned(ring), ring.sum())} return" if ring.sum() else ""
     return (
         f"open or covered: no return up to {filters.max_range_m:.0f} m in the forward cone for {scans} scans, "
-        f"and no light near the lens{around}"
+        f"and no light near the lens{ring_text}"
     )
 
 
@@ -160,10 +160,10 @@ def _sectors(total: Evidence, scans: int, config: HealthSection, fov_deg: float)
     width_deg = fov_deg / config.sectors
     closed = _returned(total.ring) >= config.closed_ring_share * max(int(total.ring.sum()), 1)
     for number, counts in enumerate(total.sectors):
-        measured = int(counts.sum())
+        measured = int(counts.sum() - counts[RejectReason.IGNORED])
         if measured == 0 or _returned(counts):
             continue
-        lit = int(counts[[Fate.NEAR, Fate.ECHO_ONLY, Fate.WEAK]].sum())
+        lit = int(counts[[RejectReason.NEAR, RejectReason.ECHO_ONLY, RejectReason.WEAK]].sum())
         right_deg = number * width_deg - fov_deg / 2
         where = f"from {right_deg:+.0f} to {right_deg + width_deg:+.0f} deg"
         if lit >= config.sector_share * measured:
@@ -179,7 +179,7 @@ def _sectors(total: Evidence, scans: int, config: HealthSection, fov_deg: float)
 
 def _flank_m(total: Evidence, place: int) -> float:
     """How far the farther of the two things on either side of a dark sector of the fan is; infinity = open there."""
-    came_back = total.fan[:, Fate.USED] + total.fan[:, Fate.ISOLATED]
+    came_back = total.fan[:, RejectReason.USED] + total.fan[:, RejectReason.ISOLATED]
     lit = np.flatnonzero(came_back)
     right, left = lit[lit < place], lit[lit > place]
     if not len(right) or not len(left):
@@ -189,7 +189,7 @@ def _flank_m(total: Evidence, place: int) -> float:
 
 def _dirty(cone: np.ndarray, measured: int, scans: int, config: HealthSection, filters: FilterSection) -> str:
     """The sensor sees, but through something."""
-    near, scattered, weak = int(cone[Fate.NEAR]), int(cone[Fate.ISOLATED]), int(cone[Fate.WEAK])
+    near, scattered, weak = int(cone[RejectReason.NEAR]), int(cone[RejectReason.ISOLATED]), int(cone[RejectReason.WEAK])
     if near >= config.dirt_share * measured:
         return (
             f"rain or dirt near the lens: {_share(near, measured)} of the forward beams end nearer than "
@@ -203,7 +203,7 @@ def _dirty(cone: np.ndarray, measured: int, scans: int, config: HealthSection, f
 
 
 def _returned(counts: np.ndarray) -> int:
-    return int(counts[Fate.USED] + counts[Fate.ISOLATED])
+    return int(counts[RejectReason.USED] + counts[RejectReason.ISOLATED])
 
 
 def _share(part: float, whole: float) -> str:

@@ -42,6 +42,15 @@ class LanePersistence:
             self.agreed_m = min(cleared)
         return self.agreed_m
 
+    def carry(self, nearer_m: float) -> None:
+        """The vehicle has driven on: every distance is less by so much, but never behind the bumper."""
+        scans = [
+            (began_ns, ended_ns, max(0.0, distance_m - nearer_m)) for began_ns, ended_ns, distance_m in self._scans
+        ]
+        self._scans.clear()
+        self._scans.extend(scans)
+        self.agreed_m = max(0.0, self.agreed_m - nearer_m)
+
     def forget(self) -> None:
         """Nothing is known."""
         self._scans.clear()

@@ -9,12 +9,15 @@ import math
 
 import numpy as np
 
-from common.messages import LaneLayout, LaserScan, LidarZone, LidarZones, worst
+from common.messages import LaserScan, Level, LidarZone, LidarZones, Motion, worst
+from common.path import Path, is_driving
 from services.jetson.lidar.config import LidarConfig, ZonesSection
-from services.jetson.lidar.filters import Fate, Returns, judge, returns_of
+from services.jetson.lidar.filters import RejectReason, Returns, judge, returns_of
 from services.jetson.lidar.health import Evidence, HealthMonitor, could_see, covered_by_something_near, evidence
+from services.jetson.lidar.movers import Movers
 from services.jetson.lidar.persistence import LanePersistence, Silence
-from services.jetson.lidar.zones import LANES, Measured, level_of, measure
+from services.jetson.lidar.way import along_the_way, cover_of, driven_m, layout_of, zones_for
+from services.jetson.lidar.zones import LANES, LaneScanner, Measured, level_of
 
 RATE_SMOOTHING = 0.2  # share of the newest scan in the published rate
 
@@ -22,24 +25,31 @@ RATE_SMOOTHING = 0.2  # share of the newest scan in the published rate
 class LidarPipeline:
     """Keeps what persistence and health need from earlier scans.
 
-    After ``process``, ``fate`` holds the ``Fate`` of each beam in the scan's own order.
+    After ``process``, ``reject_reason`` holds the ``RejectReason`` of each beam in the scan's own order.
     """
 
     def __init__(self, config: LidarConfig) -> None:
         self._config = config
         self._lanes = [LanePersistence(config.persistence) for _ in LANES]
+        self._scanner = LaneScanner(config.zones)
+        self._movers = Movers(config)
         self._silence = Silence(config.persistence)
         self._health = HealthMonitor(config.health, config.filter, config.zones.fov_deg)
-        self._layout = layout_of(config.zones)
+        self._zones = config.zones  # in use: the bands grow with the vehicle's speed
+        self._carried_ns: int | None = None
+        self._before: Returns | None = None  # the scan before, for what is too thin for one
         self._last_ns: int | None = None
         self._period_s = 0.0
-        self.fate = np.empty(0, np.int64)
+        self.reject_reason = np.empty(0, np.int64)
 
-    def process(self, stamp_ns: int, scan: LaserScan) -> LidarZones:
-        """Zones after the revolution that ended at ``stamp_ns``; stamps must rise."""
+    def process(self, stamp_ns: int, scan: LaserScan, motion: Motion | None = None) -> LidarZones:
+        """Zones after the revolution that ended at ``stamp_ns``; stamps must rise. ``motion`` None = unknown."""
         config = self._config
+        self._zones = zones_for(config, motion)
         # After a silence nothing is known: neither the old alarm nor its absence
         if self._silence.ended(stamp_ns):
+            self._scanner.forget()
+            self._before = None
             for lane in self._lanes:
                 lane.forget()
 
@@ -47,24 +57,59 @@ class LidarPipeline:
         returns = returns_of(scan, config.mounting)
 
         # Decide which returns are believed: range, vehicle's own body, confidence, neighbours
-        fate = judge(returns, config.filter, config.mounting)
+        reject_reason = judge(returns, config.filter, config.mounting, self._before)
+        self._before = returns
 
-        # The nearest thing in each lane that enough returns vouch for
-        measured = measure(returns, fate == Fate.USED, config.zones)
+        # Along the vehicle's way, and what was seen before has come nearer by as much as it has driven
+        ahead = along_the_way(returns, config, motion)
+        self._carry(stamp_ns, motion)
+
+        # The nearest thing in each lane that enough returns vouch for, in this scan or over the last ones
+        measured = self._scanner.measure(ahead, reject_reason == RejectReason.USED, self._zones)
 
         # Could the last fifteen scans see, and could this one?
-        seen = evidence(returns, fate, config.zones.fov_deg, config.health.sectors, _motor(scan))
+        seen = evidence(returns, reject_reason, config.zones.fov_deg, config.health.sectors, _motor(scan))
         reason = self._health.update(stamp_ns, seen)
         may_clear = self._may_clear(seen, returns, degraded=bool(reason))
 
         reason = reason or self._silence.reason(may_clear or any(one.nearest_m is not None for one in measured))
 
         # Agree over several scans, in each lane and for each band
-        zones = [self._agree(lane, stamp_ns, one, may_clear) for lane, one in zip(self._lanes, measured, strict=True)]
+        bands = self._bands()
+        agreed = zip(self._lanes, measured, bands, strict=True)
+        zones = [self._agree(lane, stamp_ns, one, may_clear, band) for lane, one, band in agreed]
 
-        self.fate = np.empty_like(fate)
-        self.fate[returns.order] = fate
-        return self._message(stamp_ns, scan, zones, measured, reason)
+        # Who moves beside the way and will be in it
+        used = reject_reason == RejectReason.USED
+        zones[LANES.index("centre")] = self._with_movers(zones, *self._movers.update(stamp_ns, returns, used, motion))
+
+        self.reject_reason = np.empty_like(reject_reason)
+        self.reject_reason[returns.order] = reject_reason
+        message = self._message(stamp_ns, scan, zones, measured, reason)
+        message.motion, message.cover = motion, cover_of(returns, reject_reason, config, motion)
+        path = Path(config.path, motion) if is_driving(motion, config.path) else None
+        message.layout = layout_of(self._zones, path)
+        return message
+
+    def _bands(self) -> tuple[ZonesSection, ZonesSection, ZonesSection]:
+        """Of the left, centre and right lane: what a stop needs is asked of the vehicle's own way alone."""
+        return self._config.zones, self._zones, self._config.zones
+
+    def _with_movers(self, zones: list[LidarZone], level: Level, ahead_m: float) -> LidarZone:
+        """The centre lane, with what will be in it if that is worse than all that is in a lane already."""
+        centre = zones[LANES.index("centre")]
+        before = worst(*(zone.level for zone in zones))
+        if worst(before, level) == before:
+            return centre
+        return LidarZone(nearest_m=ahead_m, points=centre.points, level=level)
+
+    def _carry(self, stamp_ns: int, motion: Motion | None) -> None:
+        last_ns, self._carried_ns = self._carried_ns, stamp_ns
+        nearer_m = driven_m(self._config, motion, 0.0 if last_ns is None else (stamp_ns - last_ns) * 1e-9)
+        if nearer_m > 0.0:
+            self._scanner.carry(nearer_m)
+            for lane in self._lanes:
+                lane.carry(nearer_m)
 
     def _may_clear(self, seen: Evidence, returns: Returns, degraded: bool) -> bool:
         """A scan that could not have seen an obstacle says nothing about its absence, until the sensor is called
@@ -73,16 +118,18 @@ class LidarPipeline:
             return True
         return degraded and not covered_by_something_near(seen, self._config.health)
 
-    def _agree(self, lane: LanePersistence, stamp_ns: int, measured: Measured, may_clear: bool) -> LidarZone:
+    def _agree(
+        self, lane: LanePersistence, stamp_ns: int, measured: Measured, may_clear: bool, band: ZonesSection
+    ) -> LidarZone:
         """The lane after persistence."""
         raw_m = math.inf if measured.nearest_m is None else measured.nearest_m
         if measured.nearest_m is not None or may_clear:
             lane.update(stamp_ns, raw_m)
-        level = level_of(lane.agreed_m, self._config.zones)
+        level = level_of(lane.agreed_m, band)
         if math.isinf(lane.agreed_m):
             return LidarZone(nearest_m=None, points=0, level=level)
         # The freshest distance that does not contradict the level
-        fresh = raw_m <= self._config.zones.look_ahead_m and level_of(raw_m, self._config.zones) == level
+        fresh = raw_m <= band.look_ahead_m and level_of(raw_m, band) == level
         return LidarZone(nearest_m=raw_m if fresh else lane.agreed_m, points=measured.points, level=level)
 
     def _message(
@@ -99,9 +146,8 @@ class LidarPipeline:
             centre=zones[1],
             right=zones[2],
             level=worst(*(zone.level for zone in zones)),
-            raw_level=level_of(min(raw), self._config.zones),
+            raw_level=worst(*(level_of(raw_m, band) for raw_m, band in zip(raw, self._bands(), strict=True))),
             scan_hz=self._scan_hz(stamp_ns),
-            layout=self._layout,
         )
 
     def _scan_hz(self, stamp_ns: int) -> float:
@@ -115,14 +161,3 @@ class LidarPipeline:
 
 def _motor(scan: LaserScan) -> str:
     return scan.reason if scan.state == "degraded" else ""
-
-
-def layout_of(zones: ZonesSection) -> LaneLayout:
-    """The lanes and lines in use, for viewers."""
-    return LaneLayout(
-        centre_width_m=zones.centre_width_m,
-        side_width_m=zones.side_width_m,
-        look_ahead_m=zones.look_ahead_m,
-        imminent_m=zones.imminent_m,
-        caution_m=zones.caution_m,
-    )

@@ -1,4 +1,4 @@
-"""Draw one scan: returns by fate, lanes, bands and what the zones say. With OpenCV, so it works on the Jetson."""
+"""Draw one scan: returns by reject reason, lanes, bands and zones. With OpenCV, so that it works on the Jetson."""
 
 from __future__ import annotations
 
@@ -9,24 +9,27 @@ import numpy as np
 
 from common.messages import LaserScan, LidarZones
 from services.jetson.lidar.config import LidarConfig
-from services.jetson.lidar.filters import Fate
+from services.jetson.lidar.filters import RejectReason
 from services.jetson.lidar.zones import LANES
 
 SIZE_PX = 900
 MARGIN_PX = 110  # for the text
 COLOURS = {  # BGR
-    Fate.USED: (60, 60, 60),
-    Fate.NEAR: (200, 60, 200),
-    Fate.FAR: (200, 200, 200),
-    Fate.BODY: (220, 160, 60),
-    Fate.WEAK: (60, 180, 220),
-    Fate.ISOLATED: (40, 40, 230),
+    RejectReason.USED: (60, 60, 60),
+    RejectReason.NEAR: (200, 60, 200),
+    RejectReason.FAR: (200, 200, 200),
+    RejectReason.BODY: (220, 160, 60),
+    RejectReason.WEAK: (60, 180, 220),
+    RejectReason.ISOLATED: (40, 40, 230),
+    RejectReason.IGNORED: (60, 170, 60),
 }
 LEVEL_COLOURS = {"SAFE": (90, 160, 60), "CAUTION": (30, 150, 240), "IMMINENT": (50, 50, 220)}
 GREY = (150, 150, 150)
 
 
-def draw(scan: LaserScan, fate: np.ndarray, zones: LidarZones, config: LidarConfig, view_m: float = 3.5) -> np.ndarray:
+def draw(
+    scan: LaserScan, reject_reason: np.ndarray, zones: LidarZones, config: LidarConfig, view_m: float = 3.5
+) -> np.ndarray:
     """(H, W, 3) uint8 BGR picture: x forward is up, y left is left, ``view_m`` from the sensor to the upper edge."""
     canvas = _Canvas(view_m)
     _draw_lanes(canvas, zones, config)
@@ -34,9 +37,9 @@ def draw(scan: LaserScan, fate: np.ndarray, zones: LidarZones, config: LidarConf
     x = scan.ranges_m * np.cos(scan.angles_rad) - config.mounting.front_m
     y = scan.ranges_m * np.sin(scan.angles_rad) + config.mounting.left_m
     for kind, colour in COLOURS.items():
-        for px in canvas.at(x[fate == kind], y[fate == kind]):
+        for px in canvas.at(x[reject_reason == kind], y[reject_reason == kind]):
             cv2.circle(canvas.image, tuple(px), 2, colour, -1, cv2.LINE_AA)
-    _draw_text(canvas.image, fate, zones)
+    _draw_text(canvas.image, reject_reason, zones)
     return canvas.image
 
 
@@ -94,7 +97,7 @@ def _draw_cone(canvas: _Canvas, config: LidarConfig) -> None:
         )
 
 
-def _draw_text(image: np.ndarray, fate: np.ndarray, zones: LidarZones) -> None:
+def _draw_text(image: np.ndarray, reject_reason: np.ndarray, zones: LidarZones) -> None:
     lanes = []
     for lane in LANES:
         zone = getattr(zones, lane)
@@ -103,7 +106,7 @@ def _draw_text(image: np.ndarray, fate: np.ndarray, zones: LidarZones) -> None:
     _line(image, 1, f"{zones.state} {zones.reason}", (0, 0, 0))
     column = 10
     for kind, colour in COLOURS.items():
-        text = f"{kind.name.lower()} {np.count_nonzero(fate == kind)}"
+        text = f"{kind.name.lower()} {np.count_nonzero(reject_reason == kind)}"
         cv2.circle(image, (column + 4, 82), 5, colour, -1, cv2.LINE_AA)
         cv2.putText(image, text, (column + 14, 87), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
         column += 30 + 9 * len(text)

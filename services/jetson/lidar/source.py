@@ -1,35 +1,45 @@
 """Where revolutions come from: a serial port, a file of raw bytes, a recording of the bus, or the simulated world.
 
-All are streams of bytes with the time of their arrival; behind that, everything is the same.
+All are streams of bytes with the time of their arrival; behind that, everything is the same. The scans of a ROS 2
+driver (``ros2:``) come as they are.
 """
 
 from __future__ import annotations
 
-import errno
-import os
-import termios
+import logging
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import serial
 
+from common.backoff import Backoff
+from common.bus.raw_tap import RawTap, null_tap
+from common.bus.status import Report
 from common.clock import monotonic_s, utc_at, utc_ns
 from common.config import ConfigError
-from common.messages import LaserScan
-from common.raw import RawTap, unheard
-from common.recording.raw import MCAP_PARAMETERS, replayed
+from common.messages import LaserScan, Motion
+from common.recording.raw import MCAP_PARAMETERS, recorded_motion, replayed
+from common.ros2.source import ROS2_PARAMETERS, require_rosbags
+from common.serial_port import explain
 from common.source_url import SourceUrl, parse_source
-from common.status import Report
 from common.topics import LIDAR_RAW
 from services.jetson.lidar.config import LidarConfig, SerialSection
 from services.jetson.lidar.decoder import ScanDecoder
 from services.jetson.lidar.parser import PACKET_BYTES, POINTS
 from services.jetson.lidar.timing import MAX_DRIFT
 
+log = logging.getLogger(__name__)
+
 Chunks = Iterator[tuple[int, bytes]]  # (UTC ns of arrival, bytes); b"" means that nothing came
 
-SCHEMES = {"serial": (), "file": ("rate", "loop"), "sim": ("t0",), "mcap": MCAP_PARAMETERS}
+SCHEMES = {
+    "serial": (),
+    "file": ("rate", "loop"),
+    "sim": ("t0",),
+    "mcap": MCAP_PARAMETERS,
+    "ros2": (*ROS2_PARAMETERS, "confidence"),
+}
 FILE_CHUNK_BYTES = 8 * PACKET_BYTES
 READ_TIMEOUT_S = 0.05
 LONGEST_PAUSE_S = 0.1  # the system keeps 4 kB for us: more than 0.2 s of the sensor
@@ -39,7 +49,7 @@ REPLAY_DRIFT = 10.0  # a replay may run slower than the recording: stamps follow
 
 
 def open_source(
-    config: LidarConfig, report: Report, raw: RawTap | Callable[..., None] = unheard
+    config: LidarConfig, report: Report, raw: RawTap | Callable[..., None] = null_tap
 ) -> Iterator[tuple[int, LaserScan]]:
     """Yield ``(stamp_ns, scan)`` as each revolution closes; ``raw`` gets the bytes.
 
@@ -47,22 +57,36 @@ def open_source(
         ConfigError: an unknown scheme or parameter, or a file that cannot be read.
     """
     url = parse_source(config.source, {name: tuple(params) for name, params in SCHEMES.items()})
+    if url.scheme == "ros2":
+        yield from _ros(url, config, report)
+        return
     true_pace = url.scheme in ("serial", "sim") or (url.scheme == "mcap" and url.number("rate", 1.0) in (0.0, 1.0))
     decoder = ScanDecoder(config, report, MAX_DRIFT if true_pace else REPLAY_DRIFT)
-    for arrival_ns, data in _chunks(url, config, decoder, report):
+    recorded: list[Motion | None] = [None]  # of the piece of a recording that is read now
+    for arrival_ns, data in _chunks(url, config, decoder, report, recorded):
         for scan in decoder.feed(arrival_ns, monotonic_s(), data):
+            scan.motion = recorded[0]
             yield scan.stamp_ns, scan
         if data:
             raw("ld06", arrival_ns, data, epoch=decoder.restarts)
 
 
-def _chunks(url: SourceUrl, config: LidarConfig, decoder: ScanDecoder, report: Report) -> Chunks:
+def _ros(url: SourceUrl, config: LidarConfig, report: Report) -> Iterator[tuple[int, LaserScan]]:
+    require_rosbags(url)
+    from services.jetson.lidar.ros2 import ros_scans
+
+    return ros_scans(url, config, report)
+
+
+def _chunks(
+    url: SourceUrl, config: LidarConfig, decoder: ScanDecoder, report: Report, recorded: list[Motion | None]
+) -> Chunks:
     if url.scheme == "serial":
         return SerialBytes(url.target, config.serial, report, decoder).chunks()
     if url.scheme == "file":
         return file_chunks(url, config.scan.sample_rate_hz, decoder.restart)
     if url.scheme == "mcap":
-        return recorded_chunks(url, decoder.restart)
+        return recorded_chunks(url, decoder.restart, recorded)
     return sim_chunks(url)
 
 
@@ -94,8 +118,10 @@ def file_chunks(url: SourceUrl, sample_rate_hz: float, restart: Callable[[], Non
         restart()
 
 
-def recorded_chunks(url: SourceUrl, restart: Callable[[], None]) -> Chunks:
+def recorded_chunks(url: SourceUrl, restart: Callable[[], None], recorded: list[Motion | None] | None = None) -> Chunks:
     """The bytes of a recording as they arrived; the port was opened anew where the epoch changes.
+
+    ``recorded`` holds afterwards how the vehicle was known to move then.
 
     Raises:
         ConfigError: no recording, or one without raw bytes of a lidar.
@@ -105,13 +131,15 @@ def recorded_chunks(url: SourceUrl, restart: Callable[[], None]) -> Chunks:
         if epoch is not None and (piece.epoch != epoch or piece.index == 0):
             restart()
         epoch = piece.epoch
+        if recorded is not None:
+            recorded[0] = recorded_motion(piece)
         yield piece.stamp_ns, piece.data.tobytes()
 
 
 def sim_chunks(url: SourceUrl) -> Chunks:
     """The byte stream of the simulated LD06 as the world's clock goes on."""
-    from common.sim import ld06
-    from common.sim.scenario_clock import ScenarioClock
+    from spotter_sim import ld06
+    from spotter_sim.scenario_clock import ScenarioClock
 
     clock, last_s = ScenarioClock(url), monotonic_s()
     while True:
@@ -134,24 +162,31 @@ class SerialBytes:
     def __init__(self, port: str, config: SerialSection, report: Report, decoder: ScanDecoder) -> None:
         self._port, self._config, self._report, self._decoder = port, config, report, decoder
         self._was_open = False
+        self._logged = ""
 
     def chunks(self) -> Iterator[tuple[int, bytes]]:
         """``(UTC ns of arrival, bytes)``; b"" when nothing came in time."""
-        pause_s = self._config.retry_first_s
+        backoff = Backoff(self._config.retry_first_s, self._config.retry_max_s)
         while True:
             try:
                 with self._open() as device:
-                    self._was_open = True
+                    self._was_open, self._logged = True, ""
                     self._decoder.restart()
                     for data in self._read(device):
                         if data:
-                            pause_s = self._config.retry_first_s
+                            backoff.reset()
                         yield utc_ns(), data
             except (serial.SerialException, OSError) as error:
-                self._report.state("disconnected", explain(self._port, error, self._was_open))
+                self._tell(explain(self._port, error, self._was_open))
                 self._report.count("port_failures")
-            time.sleep(pause_s)
-            pause_s = min(2.0 * pause_s, self._config.retry_max_s)
+            time.sleep(backoff.next_s())
+
+    def _tell(self, reason: str) -> None:
+        """In the status always, in the log once for each reason: it is tried again every few seconds."""
+        self._report.state("disconnected", reason)
+        if reason != self._logged:
+            log.warning("%s", reason)
+            self._logged = reason
 
     def _open(self) -> serial.Serial:
         return serial.Serial(self._port, self._config.baud_rate, timeout=READ_TIMEOUT_S, exclusive=True)
@@ -162,24 +197,3 @@ class SerialBytes:
         while True:
             time.sleep(min(max(0.0, self._decoder.wanted_s() - AWAKE_S), LONGEST_PAUSE_S))
             yield device.read(max(device.in_waiting, self._decoder.missing_bytes()))
-
-
-def explain(port: str, error: Exception, was_open: bool) -> str:
-    """What is wrong with the port, in words that say what to do."""
-    number = getattr(error, "errno", None)
-    if number is None and isinstance(error.__context__, termios.error):  # pyserial keeps only its text
-        number = error.__context__.args[0]
-    if number == errno.ENOENT and was_open:
-        return f"{port} is gone: unplugged? Waiting for it to come back"
-    if number == errno.ENOENT:
-        return f"{port} does not exist yet: plug the sensor in or correct `source`. Waiting for it"
-    if number in (errno.EACCES, errno.EPERM):
-        user = os.environ.get("USER", "the service's user")
-        return f"{port}: permission denied: add {user} to the group that owns it (usually dialout) and log in again"
-    if number in (errno.EBUSY, errno.EAGAIN):
-        return f"{port} is in use by another process: stop it (a login console or ModemManager, perhaps)"
-    if number in (errno.ENOTTY, errno.EINVAL, errno.EISDIR):
-        return f"{port} is no serial port: correct `source`"
-    if was_open:
-        return f"{port}: lost while reading: unplugged? Waiting for it to come back ({error})"
-    return f"{port}: cannot be opened: {error}"

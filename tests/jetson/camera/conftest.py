@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from common.status import Report
+from common.bus.status import Report
+from tests.jetson.camera.onnx_writer import FLOAT, FLOAT16, Port, constant_network
 
 ModelMaker = Callable[..., Path]
 
@@ -33,33 +35,21 @@ def texture() -> np.ndarray:
 @pytest.fixture
 def make_model(tmp_path: Path) -> ModelMaker:
     """``make_model(output, names=..., shape=...)`` writes a network that always gives ``output``."""
-    onnx = pytest.importorskip("onnx", reason="the onnx package builds the networks of this test")
-    from onnx import TensorProto, helper, numpy_helper
 
     def build(
         output: np.ndarray,
         names: str | None = "{0: 'person', 1: 'car'}",
         shape: tuple[int | str, ...] = (1, 3, 64, 96),
-        outputs: int = 1,
+        kind: int = FLOAT,
+        **options: Any,
     ) -> Path:
-        inputs = [helper.make_tensor_value_info("images", TensorProto.FLOAT, shape)]
-        declared = [
-            helper.make_tensor_value_info(f"output{i}", TensorProto.FLOAT, output.shape) for i in range(outputs)
-        ]
-        # output = constant + 0 * mean(input), so that the input is really used
-        nodes = [helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0)]
-        nodes += [helper.make_node("Mul", ["mean", "zero"], ["nothing"])]
-        nodes += [helper.make_node("Add", ["constant", "nothing"], [f"output{i}"]) for i in range(outputs)]
-        constants = [
-            numpy_helper.from_array(output.astype(np.float32), "constant"),
-            numpy_helper.from_array(np.float32(0.0), "zero"),
-        ]
-        graph = helper.make_graph(nodes, "test", inputs, declared, constants)
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
-        if names is not None:
-            model.metadata_props.add(key="names", value=names)
+        """``declared``: the output's shape as the file says it; ``outputs``: how many; others: metadata."""
+        count, declared = options.pop("outputs", 1), options.pop("declared", output.shape)
+        metadata = {**options, **({} if names is None else {"names": names})}
+        values = output.astype(np.float16 if kind == FLOAT16 else np.float32)
         path = tmp_path / "network.onnx"
-        onnx.save(model, str(path))
+        network = constant_network(Port("images", kind, shape), [values] * count, metadata, [declared] * count)
+        path.write_bytes(network)
         return path
 
     return build

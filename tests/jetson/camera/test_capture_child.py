@@ -12,18 +12,18 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
+from common.bus.status import Report
 from common.messages import ServiceStatus
 from common.source_url import SourceUrl
-from common.status import Report
 from services.jetson.camera.child import CaptureChild, CaptureLost
 from services.jetson.camera.config import CameraConfig, CaptureConfig
 from services.jetson.camera.frames import Frame, NewestFrames
@@ -80,11 +80,10 @@ def gone(pid: int) -> bool:
         return True
 
 
-def until(condition: Callable[[], object], what: str) -> None:
-    deadline_s = time.monotonic() + BUDGET_S
-    while not condition():
-        assert time.monotonic() < deadline_s, f"not in time: {what}"
-        threading.Event().wait(0.01)
+@pytest.fixture
+def until(until: Callable[..., None]) -> Callable[..., None]:
+    """With time for processes to start."""
+    return partial(until, budget_s=BUDGET_S)
 
 
 class Watched:
@@ -106,9 +105,10 @@ class Watched:
         self.look()
         return self.statuses[-1].state == "disconnected"
 
-    def more_frames(self, count: int = 3) -> None:
+    def more_frames(self, count: int = 3) -> Callable[[], bool]:
+        """A condition: so many frames have come since this call."""
         wanted = len(self.frames) + count
-        until(lambda: len(self.frames) >= wanted, f"{count} more frames")
+        return lambda: len(self.frames) >= wanted
 
     @contextmanager
     def running(self) -> Iterator[Watched]:
@@ -138,7 +138,8 @@ def gstreamer_command() -> list[str]:
     built_in = command(SourceUrl("v4l2", "0"), capture)
     device = built_in.index("device=/dev/video0")
     live = ["videotestsrc", "is-live=true", "!", "video/x-raw,width=160,height=120,framerate=30/1"]
-    return [*built_in[: device - 1], *live, *built_in[device + 1 :]]
+    crop = built_in.index("aspectratiocrop")  # of the good plug-ins, which bring v4l2src too
+    return [*built_in[: device - 1], *live, *built_in[device + 1 : crop - 1], *built_in[crop + 2 :]]
 
 
 def test_frames_are_whole_in_order_and_stamped(place: Path) -> None:
@@ -167,7 +168,7 @@ def test_gstreamer_delivers_its_test_picture() -> None:
 @pytest.mark.parametrize("make", ["python", "gstreamer"])
 @pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_child_that_is_killed_or_frozen_is_noticed_ended_and_replaced(
-    place: Path, make: str, blow: signal.Signals
+    place: Path, make: str, blow: signal.Signals, until: Callable[..., None]
 ) -> None:
     if make == "gstreamer":
         launch = " ".join(f"'{part}'" for part in gstreamer_command())
@@ -176,12 +177,12 @@ def test_a_child_that_is_killed_or_frozen_is_noticed_ended_and_replaced(
     else:
         child = child_command(place)
     with Watched(config_with(child)).running() as watched:
-        watched.more_frames()
+        until(watched.more_frames(), "more frames")
         victim = lives(place)[0]
         os.kill(victim, blow)
         until(watched.lost, "the loss")
         until(lambda: gone(victim), "the end of the old child")
-        watched.more_frames()
+        until(watched.more_frames(), "more frames")
         assert len(lives(place)) == 2
         assert "nvargus-daemon" in watched.statuses[-1].reason
     assert gone(lives(place)[-1])
@@ -191,23 +192,25 @@ def test_a_child_that_is_killed_or_frozen_is_noticed_ended_and_replaced(
     ("misbehaviour", "told"),
     [("hang", "no whole picture for 0.4 s"), ("end", "ended with code 1: ERROR: no cameras available")],
 )
-def test_a_child_that_hangs_in_a_picture_or_ends_is_replaced(place: Path, misbehaviour: str, told: str) -> None:
+def test_a_child_that_hangs_in_a_picture_or_ends_is_replaced(
+    place: Path, misbehaviour: str, told: str, until: Callable[..., None]
+) -> None:
     with Watched(config_with(child_command(place, misbehaviour))).running() as watched:
         until(watched.lost, "the loss")
         assert told in watched.statuses[-1].reason
         before = len(watched.frames)
-        watched.more_frames()
+        until(watched.more_frames(), "more frames")
         assert np.all(watched.frames[before].image == watched.frames[before].image[0, 0, 0])  # no torn picture
         assert len(lives(place)) == 2
 
 
-def test_a_program_that_is_not_installed_is_said_so() -> None:
+def test_a_program_that_is_not_installed_is_said_so(until: Callable[..., None]) -> None:
     with Watched(config_with(["no-such-program-here"])).running() as watched:
         until(watched.lost, "the loss")
         assert "no-such-program-here is not installed" in watched.statuses[-1].reason
 
 
-def test_the_pause_between_attempts_grows_to_its_limit(place: Path) -> None:
+def test_the_pause_between_attempts_grows_to_its_limit(place: Path, until: Callable[..., None]) -> None:
     failing = [sys.executable, "-c", f"open({str(place / 'lives')!r}, 'a').write('1 '); raise SystemExit(3)"]
     with Watched(config_with(failing, retry_min_s=0.01, retry_max_s=0.02)).running() as watched:
         until(lambda: len(lives(place)) >= 4, "four attempts")
@@ -226,7 +229,7 @@ def test_a_silent_child_is_given_up_after_the_start_timeout(place: Path) -> None
 
 
 @pytest.mark.skipif(shutil.which("setpriv") is None, reason="setpriv (util-linux) is not installed")
-def test_a_hung_child_dies_with_a_service_that_is_killed(place: Path) -> None:
+def test_a_hung_child_dies_with_a_service_that_is_killed(place: Path, until: Callable[..., None]) -> None:
     """kill -9 leaves no time to clean up, and a child that writes nothing never meets the closed pipe."""
     silent = [sys.executable, "-c", "import time; time.sleep(1000)"]
     parent = (
@@ -241,7 +244,7 @@ def test_a_hung_child_dies_with_a_service_that_is_killed(place: Path) -> None:
     until(lambda: gone(int(done.stdout)), "the end of the orphan")
 
 
-def test_a_v4l2_device_that_is_not_there_is_told_without_starting_a_child() -> None:
+def test_a_v4l2_device_that_is_not_there_is_told_without_starting_a_child(until: Callable[..., None]) -> None:
     config = CameraConfig(source="v4l2:99")
     with Watched(config).running() as watched:
         until(watched.lost, "the loss")
@@ -253,5 +256,41 @@ def test_built_in_commands_name_the_device_the_mode_and_the_size() -> None:
     csi = " ".join(command(SourceUrl("csi", "1"), capture))
     assert "nvarguscamerasrc sensor-id=1" in csi
     assert "width=1920,height=1080,framerate=30/1" in csi
-    assert csi.endswith("video/x-raw,format=BGR,width=640,height=480 ! fdsink fd=1 sync=false")
+    assert csi.endswith("video/x-raw,format=BGR,width=640,height=360 ! fdsink fd=1 sync=false")  # 16:9 stays 16:9
     assert "v4l2src device=/dev/video0" in " ".join(command(SourceUrl("v4l2", "0"), capture))
+
+
+def test_a_slow_camera_is_called_slow(tmp_path: Path, report: Report, until: Callable[..., None]) -> None:
+    """A picture every 1.5 s against a limit of 0.1 s: light and limit are named before the cable."""
+    script = tmp_path / "slow.py"
+    script.write_text(
+        "import sys, time\nwhile True:\n"
+        f"    sys.stdout.buffer.write(bytes({WIDTH * HEIGHT * 3})); sys.stdout.buffer.flush(); time.sleep(1.5)\n"
+    )
+    config = config_with([sys.executable, str(script)], width_px=WIDTH, height_px=HEIGHT, frame_timeout_s=0.1)
+    source, _ = open_source(config, report)
+    stop = threading.Event()
+    frames = source(stop)
+    next(frames)
+    second = threading.Thread(target=lambda: next(frames, None))
+    second.start()
+    try:
+        until(lambda: report.snapshot().state == "disconnected", "the loss")
+        assert "too slow: more light, a smaller picture" in report.snapshot().reason
+    finally:
+        stop.set()
+        second.join(30.0)
+
+
+def test_a_slow_camera_is_waited_for_and_not_restarted_for_ever(tmp_path: Path, until: Callable[..., None]) -> None:
+    """A picture every 0.3 s against a limit of 0.1 s: some children are ended, then one stays."""
+    script = tmp_path / "slow.py"
+    script.write_text(
+        f"import os, sys, time\nopen({str(tmp_path / 'lives')!r}, 'a').write(f'{{os.getpid()}}\\n')\nwhile True:\n"
+        f"    sys.stdout.buffer.write(bytes({WIDTH * HEIGHT * 3})); sys.stdout.buffer.flush(); time.sleep(0.3)\n"
+    )
+    limits = {"frame_timeout_s": 0.1, "retry_min_s": 0.01, "retry_max_s": 0.02}
+    with Watched(config_with([sys.executable, str(script)], **limits)).running() as watched:
+        until(watched.lost, "the first is ended")
+        until(lambda: len(watched.frames) >= len(lives(tmp_path)) + 6, "pictures, six of them from one child")
+    assert len(lives(tmp_path)) >= 2

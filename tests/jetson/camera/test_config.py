@@ -53,3 +53,11 @@ def test_a_class_of_ones_own_is_checked_like_every_other_key() -> None:
     assert load(CameraConfig, overrides=[kangaroo]).distance.sizes["kangaroo"].height_m == 1.5
     with pytest.raises(ConfigError, match=r"\[distance.sizes.kangaroo\] hight_m.*did you mean 'height_m'"):
         load(CameraConfig, overrides=[kangaroo.replace("height_m=", "hight_m=")])
+
+
+@pytest.mark.parametrize("source", ["csi:0", "v4l2:/dev/video0", "file:street.mp4"])
+def test_the_demo_network_is_for_the_simulated_world_alone(source: str) -> None:
+    with pytest.raises(ConfigError, match=r'\[detector\] model = "".*yolo export'):
+        load(CameraConfig, overrides=[f'source="{source}"'])
+    assert load(CameraConfig, overrides=[f'source="{source}"', 'detector.model="yolo11n.onnx"']).source == source
+    assert load(CameraConfig, overrides=['source="sim:crossing"']).detector.model == ""

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from common.status import Report
+from common.bus.status import Report
 from services.jetson.camera.frames import Frame, NewestFrames, RateLimit
 
 IMAGE = np.zeros((2, 2, 3), np.uint8)

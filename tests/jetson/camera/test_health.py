@@ -114,6 +114,26 @@ def test_a_picture_that_never_changes_is_frozen_after_a_second(texture: np.ndarr
     assert not camera.shows(texture, 3).degraded
 
 
+@pytest.mark.parametrize(
+    ("rates_hz", "slow"),
+    [
+        ([1.5] * 4, False),
+        ([1.5] * 5, True),
+        ([15.0] * 10 + [0.5] + [15.0] * 3, False),  # one gap
+        ([1.5] * 5 + [2.1] * 10, True),  # between the limits of the hysteresis
+        ([1.5] * 5 + [3.0] * 2, True),
+        ([1.5] * 5 + [3.0] * 3, False),
+    ],
+)
+def test_pictures_that_come_rarely_are_told_as_slow(texture: np.ndarray, rates_hz: list[float], slow: bool) -> None:
+    monitor, stamps_ns = ViewMonitor(CONFIG), np.cumsum([0, *(1e9 / rate_hz for rate_hz in rates_hz)])
+    measures = measure(reduce(texture), None)
+    state = [monitor.update(int(stamp_ns), measures) for stamp_ns in stamps_ns][-1]
+    assert (state.degraded, state.blind, state.reason.startswith("too slow: 1.5 pictures a second, needs 2")) == (
+        slow, False, slow,
+    )  # fmt: skip
+
+
 def test_a_reason_stays_as_it_was_when_the_fault_began(texture: np.ndarray) -> None:
     """Status is sent on every change of the reason: a figure that flickers would flood it."""
     camera = Camera()

@@ -7,18 +7,18 @@ import pytest
 
 from common.codec import decode, encode
 from common.messages import LEVELS, CameraDetections, Level
-from common.sim import camera as simulated
-from common.sim.truth import expect
 from services.jetson.camera.config import CameraConfig
 from services.jetson.camera.pipeline import CameraPipeline
 from services.jetson.camera.source import fitted
+from spotter_sim import camera as simulated
+from spotter_sim.truth import expect
 
 PERIOD_NS = 66_666_667
 
 
 @pytest.fixture(scope="module")
 def pipeline() -> CameraPipeline:
-    return CameraPipeline(fitted(CameraConfig()))
+    return CameraPipeline(fitted(CameraConfig(source="sim:crossing")))
 
 
 def run(pipeline: CameraPipeline, scenario: str, times_s: np.ndarray) -> list[CameraDetections]:
@@ -52,7 +52,8 @@ def test_who_stands_ahead_is_named_and_near(pipeline: CameraPipeline, label: str
     best = max((d for d in seen.detections if d.in_zone), key=lambda d: d.confidence)
     true = min(simulated.boxes("crossing", t_s), key=lambda box: box.distance_m)
     assert (best.label, true.label) == (label, label)
-    assert best.nearest_m == pytest.approx(true.distance_m, abs=0.35)
+    assert best.nearest_m is not None
+    assert true.distance_m - 0.6 < best.nearest_m < true.distance_m + 0.1
     assert best.truncated
     assert seen.level in (level, "IMMINENT")
 
@@ -65,7 +66,7 @@ def test_nothing_is_seen_where_nothing_is(pipeline: CameraPipeline) -> None:
 
 
 def test_darkness_clears_the_detections_at_once() -> None:
-    pipeline = CameraPipeline(fitted(CameraConfig()))
+    pipeline = CameraPipeline(fitted(CameraConfig(source="sim:crossing")))
     image = simulated.image("crossing", 5.0)
     assert pipeline.process(0, image).detections
     dark = pipeline.process(PERIOD_NS, image // 8)
@@ -78,7 +79,7 @@ def test_darkness_clears_the_detections_at_once() -> None:
 
 
 def test_a_frozen_picture_clears_the_detections_after_a_second() -> None:
-    pipeline = CameraPipeline(fitted(CameraConfig()))
+    pipeline = CameraPipeline(fitted(CameraConfig(source="sim:crossing")))
     image = simulated.image("crossing", 5.0)
     states = [pipeline.process(i * PERIOD_NS, image) for i in range(17)]
     assert states[10].detections

@@ -15,14 +15,16 @@ import cv2
 import numpy as np
 import pytest
 
+from common.bus.session import open_session
 from common.codec import decode
 from common.config import ZenohConfig
 from common.messages import CameraDetections, CompressedImage, Message, ServiceStatus
-from common.session import open_session
 from common.topics import CAMERA_DETECTIONS, CAMERA_IMAGE, status_topic
+from services.jetson.camera.detector import DEMO_MODEL
 
 BUDGET_S = 30.0
 HOST = "jetson0"
+REAL = ("--source", "csi:0", "--set", f"detector.model={DEMO_MODEL}")
 pytestmark = pytest.mark.system
 
 
@@ -97,7 +99,9 @@ def test_a_recording_of_pictures_is_published_in_full_and_then_it_ends(
     for number in range(5):
         cv2.imwrite(str(tmp_path / f"{number}.png"), texture)
     seen = laptop.follow(CAMERA_DETECTIONS.key(HOST), CameraDetections)
-    with service(router_endpoint, "--source", f"file:{tmp_path}?rate=0") as process:
+    with service(
+        router_endpoint, "--set", f"detector.model={DEMO_MODEL}", "--source", f"file:{tmp_path}?rate=0"
+    ) as process:
         assert process.wait(BUDGET_S) == 0
         laptop.until(lambda: len(seen) == 5, "all five")
 
@@ -121,6 +125,8 @@ def test_a_killed_capture_is_in_health_and_heals(router_endpoint: str, laptop: L
         "capture.width_px=96",
         "--set",
         "capture.height_px=64",
+        "--set",
+        f"detector.model={DEMO_MODEL}",
     )
     with service(router_endpoint, "--source", "csi:0", *settings):
         laptop.until(lambda: len(seen) >= 5, "detections")
@@ -137,8 +143,9 @@ def test_a_killed_capture_is_in_health_and_heals(router_endpoint: str, laptop: L
     ("arguments", "told"),
     [
         (["--set", "detector.model=none.onnx"], "no such file; expected an ONNX file"),
+        (["--source", "v4l2:0"], "the demo network knows the simulated world alone"),
         (["--source", "usb:1"], "expected one of csi:"),
-        (["--set", "capture.csi_command=['x', '{lens}']", "--source", "csi:0"], "'lens' is no placeholder"),
+        (["--set", "capture.csi_command=['x', '{lens}']", *REAL], "'lens' is no placeholder"),
     ],
 )
 def test_a_wrong_configuration_ends_it_with_one_line(router_endpoint: str, arguments: list[str], told: str) -> None:

@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
+from common.bus.status import Report
 from common.config import ConfigError
-from common.sim.world import SCENARIOS
-from common.status import Report
 from services.jetson.camera import source as source_module
 from services.jetson.camera.config import CameraConfig, CaptureConfig
 from services.jetson.camera.frames import Frame
 from services.jetson.camera.source import Pace, fitted, open_source
+from spotter_sim.world import SCENARIOS
 
 
 def frames_of(url: str, report: Report, count: int = 1000) -> list[Frame]:
@@ -113,7 +113,7 @@ def test_only_the_fastest_replay_waits_for_the_reader(folder: Path, report: Repo
 @pytest.mark.parametrize(
     ("url", "told"),
     [
-        ("usb:0", "expected one of csi:, file:, mcap:, sim:, v4l2:"),
+        ("usb:0", "expected one of csi:, file:, mcap:, ros2:, sim:, v4l2:"),
         ("sim:nowhere", "no scenario 'nowhere'"),
         ("sim:crossing?rate=2", "no parameter 'rate' for sim:"),
         ("file:/nonexistent/video.mp4", "no such file or folder"),
@@ -159,10 +159,10 @@ def test_the_unplugged_simulated_camera_is_lost_and_says_what_to_do(report: Repo
 
 
 def test_the_simulated_camera_knows_its_place_and_a_real_one_is_left_alone() -> None:
-    known = fitted(CameraConfig())
+    known = fitted(CameraConfig(source="sim:crossing"))
     assert (known.lens.f_y_px, known.mount.height_m) == (397.0, 0.24)
     assert CameraConfig().lens == known.lens  # the shipped default is the lens that is simulated
-    half = fitted(CameraConfig(capture=CaptureConfig(width_px=320, height_px=480)))
+    half = fitted(CameraConfig(source="sim:crossing", capture=CaptureConfig(width_px=320, height_px=480)))
     assert (half.lens.f_x_px, half.lens.f_y_px) == (198.5, 397.0)
     real = CameraConfig(source="csi:0")
     assert fitted(real) is real
@@ -171,4 +171,4 @@ def test_the_simulated_camera_knows_its_place_and_a_real_one_is_left_alone() -> 
 def test_a_photograph_is_still_and_not_frozen_but_a_video_may_freeze() -> None:
     assert fitted(CameraConfig(source="file:bus.jpg?loop=1")).health.frozen_after_s == 0.0
     video = CameraConfig(source="file:drive.mp4?loop=1")
-    assert fitted(video) is video
+    assert fitted(video).health.frozen_after_s == 1.0

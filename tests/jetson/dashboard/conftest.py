@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import socket
 import subprocess
 import sys
 import time
@@ -17,8 +16,9 @@ from typing import Any
 import pytest
 import zenoh
 
+from common.bus.session import build
 from common.config import ZenohConfig
-from common.session import build
+from spotter_tools.ports import free_port
 
 BROWSER_FILE = Path(__file__).parents[3] / "docs" / "browser.py"
 
@@ -98,9 +98,3 @@ def start_dashboard_at() -> Iterator[Callable[..., Dashboard]]:
     yield start
     for dashboard in started:
         dashboard.close()
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

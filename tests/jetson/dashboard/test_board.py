@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from common.messages import CompressedImage, SensorHealth, SystemHealth, Verdict
+from common.messages import CameraDetections, CompressedImage, SensorHealth, SystemHealth, Verdict
 from services.jetson.dashboard.board import HISTORY, Board
 from services.jetson.dashboard.server import Wish, parse_wish
 
@@ -54,9 +54,26 @@ def test_a_picture_is_not_in_the_snapshot_but_beside_it() -> None:
     board.put("jetson0/camera/image", image, 0.0)
     snapshot = board.snapshot(0.0, {"*"})
     assert len(snapshot) < 500
-    assert json.loads(snapshot)["entries"]["jetson0/camera/image"]["message"] == {"seq": 3, "stamp_ns": 5}
+    assert json.loads(snapshot)["entries"]["jetson0/camera/image"]["message"] == {
+        "seq": 3, "stamp_ns": 5, "seen": None,
+    }  # fmt: skip
     assert board.image("jetson0/camera/image") == image.data
     assert board.image("jetson1/camera/image") is None
+
+
+def test_a_picture_comes_by_its_stamp_and_with_what_was_seen_in_it() -> None:
+    board = Board()
+    for stamp_ns in range(1, 8):
+        seen = CameraDetections(
+            stamp_ns=stamp_ns, detections=[], brightness=float(stamp_ns), level=None, image_size_px=(1, 1)
+        )
+        board.put("jetson0/camera/detections", seen, 0.0)
+        if stamp_ns % 3 == 0:
+            image = CompressedImage(stamp_ns=stamp_ns, format="jpeg", data=b"%d" % stamp_ns)
+            board.put("jetson0/camera/image", image, 0.0)
+    entry = json.loads(board.snapshot(0.0, {"camera/image"}))["entries"]["jetson0/camera/image"]["message"]
+    assert (entry["stamp_ns"], entry["seen"]["brightness"]) == (6, 6.0)
+    assert [board.image("jetson0/camera/image", stamp_ns) for stamp_ns in (3, 6, 99, None)] == [b"3", b"6", b"6", b"6"]
 
 
 def test_a_client_gets_what_it_asked_for_and_always_the_verdict() -> None:

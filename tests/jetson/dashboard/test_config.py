@@ -26,7 +26,17 @@ def test_the_file_loads_and_equals_the_defaults() -> None:
 
 
 def test_the_file_lists_every_key() -> None:
-    assert keys(tomllib.loads(FILE.read_text())) == keys(default_text(DashboardConfig))
+    assert keys(tomllib.loads(FILE.read_text())) == keys(default_text(DashboardConfig)) - {"map"}
+
+
+def test_the_place_of_the_map_stands_in_the_file_as_a_comment(tmp_path: Path) -> None:
+    text = FILE.read_text()
+    beginning = text.index("# [map]")
+    lines = text[beginning : text.index("[server]", beginning)].splitlines()
+    (tmp_path / "map.toml").write_text("\n".join(line.removeprefix("# ") for line in lines))
+    origin = load(DashboardConfig, tmp_path / "map.toml").map
+    assert origin is not None
+    assert set(keys(tomllib.loads((tmp_path / "map.toml").read_text())["map"])) == set(origin.__struct_fields__)
 
 
 @pytest.mark.parametrize(

@@ -13,12 +13,12 @@ import pytest
 
 DOCS = Path(__file__).parents[3] / "docs"
 BARS = {
-    "lidar-degraded": ("amber", "LIDAR DEGRADED"),
-    "lidar-disconnected": ("amber", "LIDAR DISCONNECTED"),
-    "camera-degraded": ("amber", "CAM DEGRADED"),
-    "camera-disconnected": ("amber", "CAM DISCONNECTED"),
-    "radar-disconnected": ("amber", "RADAR DISCONNECTED"),
-    "two-degraded": ("red", "LIDAR DEGRADED + CAM DEGRADED"),
+    "lidar-degraded": ("amber", "LiDAR DEGRADED"),
+    "lidar-disconnected": ("amber", "LiDAR DISCONNECTED"),
+    "camera-degraded": ("amber", "camera DEGRADED"),
+    "camera-disconnected": ("amber", "camera DISCONNECTED"),
+    "radar-disconnected": ("amber", "radar DISCONNECTED"),
+    "two-degraded": ("red", "LiDAR DEGRADED + camera DEGRADED"),
     "blind": ("red", "SYSTEM BLIND"),
 }
 

@@ -11,19 +11,19 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from common import topics
+from common.bus.runtime import Service
+from common.bus.session import open_session
 from common.config import ServiceConfig, ZenohConfig
-from common.messages import ClockHealth, SensorHealth, SystemHealth, Verdict, VerdictInput
-from common.recording.presence import RecorderPresence
 from common.recording.recorder import RecorderStatus
-from common.runtime import Service
-from common.session import open_session
+from common.recording.recorder_status import RecorderPresence
+from tests.jetson.dashboard.speaking_fusion import Fusion
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 
@@ -31,56 +31,11 @@ AXE = Path(
     str(importlib.metadata.distribution("axe-playwright-python").locate_file("axe_playwright_python/axe.min.js"))
 )
 BARS = [
-    ("green", "ALL SENSORS ONLINE"),
-    ("amber", "CAM DEGRADED: no visual confirmation"),
-    ("red", "LIDAR DISCONNECTED + CAM DEGRADED: radar only, static obstacles may be missed"),
-    ("red", "ALL SENSORS OFFLINE, SYSTEM BLIND"),
+    ("green", "ALL VEHICLE SENSORS ONLINE"),
+    ("amber", "camera DEGRADED: no visual confirmation"),
+    ("red", "LiDAR DISCONNECTED + camera DEGRADED: radar only, static obstacles may be missed"),
+    ("red", "ALL VEHICLE SENSORS OUT, SYSTEM BLIND"),
 ]
-
-
-@dataclass
-class Fusion:
-    """A fusion that says what the test wants, at 20 Hz, until it is told to be silent."""
-
-    zenoh: ZenohConfig
-    level: str = "SAFE"
-    colour: str = "green"
-    summary: str = "ALL SENSORS ONLINE"
-    sensor_state: str = "online"
-    silent: bool = False
-    stop: threading.Event = field(default_factory=threading.Event)
-
-    def live(self) -> None:
-        with Service("fusion", ServiceConfig(host="jetson0", zenoh=self.zenoh)) as service:
-            put_verdict = service.publisher(topics.FUSION_VERDICT)
-            put_health = service.publisher(topics.FUSION_HEALTH)
-            while not self.stop.wait(0.05):
-                if not self.silent:
-                    put_verdict(self.verdict())
-                    put_health(self.health())
-
-    def verdict(self) -> Verdict:
-        contribution = VerdictInput(
-            state="online", level=self.level, age_ms=40.0, used=True, why="its band counts",  # type: ignore[arg-type]
-            stage_ms={"capture": 1.0, "processing": 2.0, "transport": 0.5, "fusion": 0.1},
-        )  # fmt: skip
-        permission = {"SAFE": "GO", "CAUTION": "SLOW", "IMMINENT": "STOP"}[self.level]
-        return Verdict(
-            stamp_ns=time.time_ns(), level=self.level, rule="R1-worst-case", because="lidar sees something at 0.61 m",  # type: ignore[arg-type]
-            inputs={"lidar": contribution}, confirmed=False, suppressed=False, advisory=None, blind=False,
-            permission=permission, to_lower="the centre lane clear for 4 scans",  # type: ignore[arg-type]
-        )  # fmt: skip
-
-    def health(self) -> SystemHealth:
-        sensor = SensorHealth(
-            state=self.sensor_state, reason="" if self.sensor_state == "online" else "lens blocked: 40 scans",  # type: ignore[arg-type]
-            since_ns=time.time_ns(), age_ms=40.0, rate_hz=10.0,
-        )  # fmt: skip
-        clocks = {"pi0": ClockHealth(offset_ms=1.2, bound_ms=0.4, age_s=1.0, trusted=True)}
-        return SystemHealth(
-            stamp_ns=time.time_ns(), sensors={"lidar": sensor, "radar": sensor, "camera": sensor},
-            colour=self.colour, summary=self.summary, services={}, clocks=clocks,  # type: ignore[arg-type]
-        )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +54,8 @@ def fusion(running: tuple[Fusion, Any]) -> Fusion:
     """The file's fusion, saying SAFE and green again."""
     fusion = running[0]
     fusion.level, fusion.colour, fusion.summary = "SAFE", *BARS[0]
-    fusion.sensor_state, fusion.silent = "online", False
+    fusion.blind, fusion.because = False, "LiDAR CAUTION at 0.61 m"
+    fusion.sensor_state, fusion.silent, fusion.source_kind = "online", False, "live"
     return fusion
 
 
@@ -142,13 +98,41 @@ def test_the_verdict_is_large_and_says_why(browser: Any, fusion: Fusion, url: st
     fusion.level = level
     browser.open(url)
     browser.wait(f"{text_of('level')} == '{level}' && {text_of('permission')} == '{permission}'")
-    assert browser.run(text_of("because")) == "lidar sees something at 0.61 m"
+    assert browser.run(text_of("because")) == "LiDAR CAUTION at 0.61 m"
     assert "centre lane clear" in browser.run(text_of("to-lower"))
     assert browser.run("parseFloat(getComputedStyle(document.getElementById('level')).fontSize)") > 90
     signs = browser.run("document.querySelector('.sign span').textContent")
     assert signs == {"SAFE": "✓", "CAUTION": "!", "IMMINENT": "✕"}[level]
     assert violations(browser) == []
     keep_picture(browser, f"verdict-{level.lower()}")
+
+
+@pytest.mark.parametrize("level", ["CAUTION", "IMMINENT"])
+def test_a_blind_vehicle_has_a_face_of_its_own_whatever_the_roadside_sees(
+    browser: Any, fusion: Fusion, url: str, level: str
+) -> None:
+    own = "blind: LiDAR disconnected, radar disconnected, camera disconnected"
+    fusion.level, fusion.blind, fusion.because = level, True, f"{own}; roadside LiDAR {level} at 9.00 m (car)"
+    fusion.colour, fusion.summary = BARS[-1]
+    browser.open(url)
+    browser.wait(f"{text_of('level')} == 'BLIND'")
+    assert browser.run("document.getElementById('verdict').className") == "verdict BLIND"
+    assert browser.run(text_of("because")).startswith(own)
+    assert browser.run(text_of("rule")) == f"{level}, rule R1-worst-case"
+    browser.run("document.getElementById('t-services').scrollIntoView()")
+    browser.wait(f"{text_of('slim')}.includes('BLIND')")
+    assert browser.run("document.getElementById('slim').className") == "slim BLIND"
+    browser.run("window.scrollTo(0, 0)")
+    assert violations(browser) == []
+    keep_picture(browser, f"blind-{level}")
+
+
+def test_sensors_have_the_names_that_every_other_text_uses(browser: Any, fusion: Fusion, url: str) -> None:
+    browser.open(url)
+    browser.wait("document.querySelectorAll('#sensors tr').length > 0")
+    for sensor in topics.SENSOR_TOPICS:
+        said = f"import('/static/words.js').then((words) => words.spoken('{sensor}'))"
+        assert browser.run(said) == topics.spoken(sensor)
 
 
 def test_a_silent_fusion_is_no_verdict_within_half_a_second(browser: Any, fusion: Fusion, url: str) -> None:
@@ -189,6 +173,23 @@ def test_a_degraded_sensor_shows_since_when_and_why(browser: Any, fusion: Fusion
     )
 
 
+@pytest.mark.parametrize("kind", ["recorded", "emulated", "simulated", "unknown"])
+def test_a_band_says_what_is_not_live(browser: Any, fusion: Fusion, url: str, kind: str) -> None:
+    browser.open(url)
+    browser.wait(f"{text_of('level')} == 'SAFE' && document.getElementById('origin').hidden")
+    fusion.source_kind = kind
+    browser.wait(f"!document.getElementById('origin').hidden && {text_of('origin')}.startsWith('NOT LIVE, ')")
+    assert f"LiDAR {kind}, radar {kind}, camera {kind}" in browser.run(text_of("origin"))
+    assert kind in browser.wait("document.querySelector('#sensors tr').innerText")
+    browser.run("document.getElementById('t-services').scrollIntoView()")
+    browser.wait(f"{text_of('slim')}.includes('NOT LIVE')")
+    browser.run("window.scrollTo(0, 0)")
+    assert violations(browser) == []
+    keep_picture(browser, f"origin-{kind}")
+    fusion.source_kind = "live"
+    browser.wait("document.getElementById('origin').hidden")
+
+
 def test_a_running_recorder_is_shown_with_its_file_until_it_ends(
     browser: Any, fusion: Fusion, url: str, module_router: str
 ) -> None:
@@ -202,7 +203,30 @@ def test_a_running_recorder_is_shown_with_its_file_until_it_ends(
         browser.wait(f"{text_of('recording')}.includes('Recording on laptop1: drive.mcap: 1200 messages, 34.0 MB')")
         presence.tell(replace(status, dropped=3))
         browser.wait(f"{text_of('recording')}.includes('3 dropped')")
-    browser.wait(f"{text_of('recording')}.includes('no recorder')")
+        assert "laptop1/recorder" in browser.run(text_of("services"))
+        presence.end(status)
+        browser.wait(f"{text_of('recording')}.includes('no recorder')")
+        browser.wait(f"!{text_of('services')}.includes('laptop1/recorder')")  # and no red row stays behind
+
+
+@pytest.mark.parametrize("level", ["SAFE", "CAUTION", "IMMINENT"])
+def test_verdict_and_health_stay_while_the_page_is_scrolled(browser: Any, fusion: Fusion, url: str, level: str) -> None:
+    fusion.level = level
+    browser.open(url, 360, 740)
+    browser.wait(f"{text_of('level')} == '{level}'")
+    assert browser.run("document.getElementById('slim').hidden")
+    browser.run("document.getElementById('t-services').scrollIntoView()")
+    permission = {"SAFE": "GO", "CAUTION": "SLOW", "IMMINENT": "STOP"}[level]
+    browser.wait(f"{text_of('slim')}.includes('{level} → {permission}')")
+    assert "ALL VEHICLE SENSORS ONLINE" in browser.run(text_of("slim"))
+    assert browser.run("document.getElementById('slim').getBoundingClientRect().top") == 0
+    assert violations(browser) == []
+    keep_picture(browser, f"slim-{level}")
+    fusion.silent = True
+    browser.wait(f"{text_of('slim')}.includes('NO VERDICT → STOP')")
+    fusion.silent = False
+    browser.run("window.scrollTo(0, 0)")
+    browser.wait("document.getElementById('slim').hidden")
 
 
 def test_a_phone_asks_for_what_is_on_its_screen(browser: Any, fusion: Fusion, url: str, module_router: str) -> None:

@@ -22,9 +22,9 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
 from common import topics
+from common.bus.runtime import Service
 from common.config import ServiceConfig, ZenohConfig
 from common.messages import CompressedImage, Verdict
-from common.runtime import Service
 
 pytestmark = [pytest.mark.system]
 
@@ -97,6 +97,28 @@ def test_without_its_token_nothing_is_told(module_router: str, start_dashboard_a
 def test_a_page_of_another_site_may_not_listen(dashboard: Any) -> None:
     with pytest.raises(WebSocketException):
         connect(f"ws://127.0.0.1:{dashboard.port}/ws", origin="http://elsewhere.example")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:8080", "127.0.0.1.evil.example", ""])
+def test_a_name_that_is_not_ours_is_refused(dashboard: Any, host: str) -> None:
+    """Under DNS rebinding a foreign page has our address, and Origin and Host agree."""
+    for path in ("/", "/api/snapshot", "/static/main.js"):
+        assert get(dashboard.url + path, Host=host)[0] in (400, 421), path
+    with pytest.raises(WebSocketException), socket.create_connection(("127.0.0.1", dashboard.port)) as raw:
+        connect(f"ws://{host or 'evil.example'}/ws", sock=raw, origin=f"http://{host}")  # type: ignore[arg-type]
+
+
+def test_a_malformed_name_is_refused(dashboard: Any) -> None:
+    assert get(dashboard.url, Host="[::1")[0] in (400, 421)
+
+
+def test_the_site_s_and_the_configured_names_are_served(
+    module_router: str, start_dashboard_at: Callable[..., Any]
+) -> None:
+    dashboard = start_dashboard_at(module_router, 'server.allowed_hosts=["board.lan"]', 'server.site_hosts=["jetson0"]')
+    for host in ("board.lan", "jetson0:8080", "LOCALHOST", "10.0.0.7:8080", "[::1]:8080"):
+        assert get(dashboard.url, Host=host)[0] == 200, host
+    assert get(dashboard.url, Host="jetson1")[0] == 421
 
 
 def test_pictures_are_made_only_while_somebody_looks(dashboard: Any, on_its_router: ZenohConfig) -> None:

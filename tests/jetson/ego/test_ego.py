@@ -11,11 +11,11 @@ import pytest
 from common.codec import decode, encode
 from common.config import ConfigError, load
 from common.messages import EgoMotion
-from common.sim.world import world_at
 from services.jetson.ego import config as ego_config
 from services.jetson.ego.config import EgoConfig
 from services.jetson.ego.pipeline import EgoPipeline, Motion
 from services.jetson.ego.source import open_source
+from spotter_sim.world import world_at
 
 
 def test_the_file_loads_and_equals_the_defaults() -> None:
@@ -48,7 +48,17 @@ def test_the_simulated_motion_is_that_of_the_world() -> None:
 
 @pytest.mark.parametrize(
     ("source", "complaint"),
-    [("", "sim:<scenario>"), ("sim:nowhere", "no scenario 'nowhere'"), ("can:0", "expected one of sim:")],
+    [
+        ("", "no source: give one"),
+        ("sim:nowhere", "no scenario 'nowhere'"),
+        ("radio:0", "expected one of can:, gpio:, imu:, ros2:, serial:, sim:, vesc:"),
+        ("can:can0", "dbc = ''"),
+        ("gpio:/dev/gpiochip0", "the line of channel a"),
+        ("imu:abacus", "no chip 'abacus'; there are: mpu6050, icm20948, bno055"),
+        ("imu:mpu6050?address=high", "is not a number"),
+        ("serial:/dev/a + serial:/dev/b", "at most one of each kind"),
+        ("sim:empty + imu:bno055", "stands alone"),
+    ],
 )
 def test_a_wrong_source_is_refused_by_name(source: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):

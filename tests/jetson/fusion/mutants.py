@@ -1,14 +1,16 @@
 """Breaks fusion in one place at a time and asks whether the tests notice.
 
-    python tests/jetson/fusion/mutants.py [module ...]
+    python tests/jetson/fusion/mutants.py [module ...] [--part 1/3]
 
 Every comparison, boolean operator, negation, number, level and state of a module is changed once (a mutant); for each
-mutant a forked process runs the module's tests until the first failure. A mutant that no test notices is printed, and
-the exit code is 1. Mutants that cannot make a difference are listed in ``EQUIVALENT`` with the reason.
+mutant a forked process runs the module's tests until the first failure, those of the module alone first. A mutant that
+no test notices is printed, and the exit code is 1. Mutants that cannot make a difference are listed with the reason in
+``equivalent_mutants.toml``. ``--part 1/3`` runs the first of every three mutants.
 """
 
 from __future__ import annotations
 
+import argparse
 import ast
 import copy
 import importlib
@@ -16,11 +18,15 @@ import importlib.util
 import io
 import os
 import sys
+import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from types import ModuleType
 
+import hypothesis  # noqa: F401  # here, so that not every fork has to
+import numpy as np  # noqa: F401
 import pytest
 
 HERE = Path(__file__).parent
@@ -28,15 +34,43 @@ ROOT = HERE.parents[2]
 PACKAGE = "services.jetson.fusion"
 CAUGHT, SURVIVED, BROKEN = 0, 3, 4
 
-RULE_TESTS = ("test_verdict_memory.py", "test_verdict_table.py", "test_verdict_properties.py")
+RULE_TESTS = (
+    "test_verdict_votes.py",
+    "test_abreast.py",
+    "test_verdict_memory.py",
+    "test_claims.py",
+    "test_fourth_sensor.py",
+    "test_reversing.py",
+    "test_coverage.py",
+    "test_roadside_verdict.py",
+    "test_verdict_table.py",
+    "test_verdict_properties.py",
+)
+MEMORY_TESTS = (
+    "test_abreast.py",
+    "test_claims_seen.py",
+    "test_claims_ended.py",
+    "test_claims.py",
+    "test_verdict_memory.py",
+    "test_written_memory.py",
+)
 TESTS: dict[str, tuple[str, ...]] = {
     "verdict": RULE_TESTS,
     "evidence": RULE_TESTS,
     "config": RULE_TESTS,
-    "bar": ("test_health.py",),
-    "health": ("test_health_limits.py", "test_health.py", "test_faults.py", "test_clocks.py"),
-    "clocks": ("test_clocks.py",),
-    "roadside": ("test_roadside.py",),
+    "coverage": ("test_coverage.py",),
+    "abreast": ("test_abreast.py",),
+    "claims": MEMORY_TESTS,
+    "places": ("test_places.py",),
+    "suppression": ("test_verdict_memory.py", "test_field_suppression.py"),
+    "recovery": ("test_recovery.py",),
+    "bar": ("test_bar.py", "test_health.py", "test_fourth_sensor.py"),
+    "health": ("test_health_limits.py", "test_health.py", "test_faults.py", "test_clocks_in_fusion.py"),
+    "clocks": ("test_clocks.py", "test_clocks_in_fusion.py"),
+    "roadside": ("test_roadside.py", "test_roadside_verdict.py"),
+    "outlines": ("test_outlines.py", "test_outlines_steps.py"),
+    "own_track": ("test_own_track.py",),
+    "dating": ("test_health_limits.py", "test_clocks.py", "test_clocks_in_fusion.py", "test_aged_by_stamp.py"),
 }
 ONLY_IN_CLASS = {"config": "RulesConfig"}  # the rest of the configuration is not rules
 
@@ -50,28 +84,24 @@ WORDS = {
     "full": "off", "green": "amber", "amber": "red", "red": "green",
 }  # fmt: skip
 
-# What cannot be noticed because nothing changes: by module, the mutated line and the mutation.
-EQUIVALENT: dict[str, set[str]] = {
-    "health": {
-        # only the order of the ranks counts
-        'RANK_OF_STATE: dict[SensorState, int] = {"online": 0, "degraded": 1, "disconnected": 2}  [-> 3]',
-        # shorter than every topic's limit all the same
-        "silent_s = now_s - self.frame.received.arrived_s if self.frame else 0.0  [-> 0.1]",
-    }
-}
+# What cannot be noticed because nothing changes: by module, "line  [mutation]" and why.
+EQUIVALENT: dict[str, dict[str, str]] = tomllib.loads((HERE / "equivalent_mutants.toml").read_text())
 
 
 def mutants(source: str, only_in_class: str | None = None) -> Iterator[tuple[str, ast.Module]]:
-    """Pairs of (what was changed, the changed module)."""
+    """Pairs of (what was changed, the changed module); what comes twice is numbered."""
     tree = ast.parse(source)
     lines = source.splitlines()
+    told: Counter[str] = Counter()
     for index, node in enumerate(_nodes(tree, only_in_class)):
         for what in _mutations(node):
             changed = copy.deepcopy(tree)
             twin = list(_nodes(changed, only_in_class))[index]
             text = _apply(twin, what)
             line = getattr(node, "lineno", 0)
-            yield f"{lines[line - 1].strip()}  [{text}]", ast.fix_missing_locations(changed)
+            name = f"{lines[line - 1].strip()}  [{text}]"
+            told[name] += 1
+            yield name if told[name] == 1 else f"{name} {told[name]}", ast.fix_missing_locations(changed)
 
 
 def _nodes(tree: ast.Module, only_in_class: str | None) -> Iterator[ast.AST]:
@@ -143,7 +173,8 @@ def is_noticed(name: str, tree: ast.Module) -> bool:
 
 def _run_tests(name: str, tree: ast.Module) -> int:
     install(name, tree)
-    options = ["-x", "-q", "-p", "no:cacheprovider", "-o", "addopts=--import-mode=importlib"]
+    options = ["-x", "-q", "--assert=plain", "-p", "no:cacheprovider", "-o", "addopts=--import-mode=importlib"]
+    options += ["-o", f"pythonpath={ROOT}"]
     with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
         code = pytest.main([*options, *(str(HERE / test) for test in TESTS[name])])
     return {
@@ -167,31 +198,35 @@ def install(name: str, tree: ast.Module) -> None:
     setattr(importlib.import_module(PACKAGE), name, module)
 
 
-def check(name: str) -> tuple[int, list[str]]:
-    """(number of mutants that can make a difference, those that nobody noticed)."""
+def check(name: str, part: int = 1, parts: int = 1) -> tuple[int, list[str]]:
+    """(number of mutants that can make a difference, those that nobody noticed), of one part of them."""
     source = (ROOT / PACKAGE.replace(".", "/") / f"{name}.py").read_text()
     if is_noticed(name, ast.parse(source)):
         raise RuntimeError(f"the tests of {name} fail without any mutant")
-    survivors, count = [], 0
-    for what, tree in mutants(source, ONLY_IN_CLASS.get(name)):
-        if what in EQUIVALENT.get(name, set()):
-            continue
-        count += 1
-        if not is_noticed(name, tree):
-            survivors.append(what)
-    return count, survivors
+    all_of_them = list(mutants(source, ONLY_IN_CLASS.get(name)))
+    unknown = EQUIVALENT.get(name, {}).keys() - {what for what, _ in all_of_them}
+    if unknown:
+        raise RuntimeError(f"{name} has no such mutant any more: {', '.join(sorted(unknown))}")
+    told = [(what, tree) for what, tree in all_of_them if what not in EQUIVALENT.get(name, {})][part - 1 :: parts]
+    return len(told), [what for what, tree in told if not is_noticed(name, tree)]
 
 
-def main(names: list[str]) -> int:
+def main() -> int:
+    """Exit code 1 when a mutant was not noticed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("modules", nargs="*", default=list(TESTS))
+    parser.add_argument("--part", default="1/1", help="e.g. 2/3: of every three mutants the second")
+    given = parser.parse_args()
+    part, parts = map(int, given.part.split("/"))
     missed = 0
-    for name in names or list(TESTS):
-        count, survivors = check(name)
+    for name in given.modules:
+        count, survivors = check(name, part, parts)
         sys.stdout.write(f"{name}: {count} mutants, {count - len(survivors)} caught\n")
-        for what in survivors:
-            sys.stdout.write(f"    not noticed: {what}\n")
+        sys.stdout.writelines(f"    not noticed: {what}\n" for what in survivors)
+        sys.stdout.flush()
         missed += len(survivors)
     return 1 if missed else 0
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))
+    raise SystemExit(main())

@@ -45,3 +45,17 @@ def test_the_file_lists_every_key() -> None:
 def test_a_wrong_value_is_refused_by_name(setting: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         load(FusionConfig, None, [setting])
+
+
+def test_naming_a_sensor_s_host_keeps_its_other_settings(tmp_path: Path) -> None:
+    own = FusionConfig().sensors
+    by_command_line = load(FusionConfig, None, ["sensors.lidar.host=jetson0", "sensors.camera.host=pi0"]).sensors
+    assert (by_command_line.lidar.budget_ms, by_command_line.camera.budget_ms) == (
+        own.lidar.budget_ms,
+        own.camera.budget_ms,
+    )
+    file = tmp_path / "fusion.toml"
+    file.write_text('[sensors.infra_lidar]\nhost = "infra0"\n[sensors.radar]\nbudget_ms = 90.0\n')
+    by_file = load(FusionConfig, file).sensors
+    assert by_file.infra_lidar == own.infra_lidar
+    assert (by_file.radar.host, by_file.radar.budget_ms) == (own.radar.host, 90.0)

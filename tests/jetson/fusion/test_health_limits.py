@@ -7,16 +7,17 @@ from typing import Any
 
 import pytest
 
+from common.bus.pubsub import Received
 from common.messages import ServiceStatus
-from common.pubsub import Received
 from common.topics import RADAR_TRACKS
 from services.jetson.fusion.config import HealthConfig
-from services.jetson.fusion.health import SensorWatch, Surroundings
+from services.jetson.fusion.dating import Age, SenderClock
+from services.jetson.fusion.health import DatedStatus, LinkState, SensorWatch
 
 # Times are multiples of 1/8 s, so that sums and limits are exact.
 START_NS = 1_800_000_000_000_000_000
 CONFIG = HealthConfig(recovery_frames=2, future_s=0.125, rate_window_s=2.0)
-THERE = Surroundings(instances=("a",))
+THERE = LinkState(instances=("a",))
 
 
 class Run:
@@ -27,7 +28,7 @@ class Run:
         self._build, self._seq = messages.radar, 0
 
     def take(
-        self, at_s: float, *, old_s: float = 0.0, around: Surroundings = THERE, level: str = "SAFE", **more: Any
+        self, at_s: float, *, old_s: float = 0.0, around: LinkState = THERE, level: str = "SAFE", **more: Any
     ) -> None:
         """A message arrives at ``at_s``, measured ``old_s`` before by the sensor's clock."""
         arrived_ns = START_NS + round(at_s * 1e9)
@@ -35,7 +36,7 @@ class Run:
         message.seq = self._seq = self._seq + 1
         assert self.watch.take(Received("pi0/radar/tracks", message, at_s, arrived_ns), around) == ""
 
-    def judge(self, at_s: float, around: Surroundings = THERE) -> Any:
+    def judge(self, at_s: float, around: LinkState = THERE) -> Any:
         """What is told of the sensor at ``at_s``."""
         return self.watch.judge(at_s, START_NS + round(at_s * 1e9), around)[1]
 
@@ -52,12 +53,12 @@ def run(messages: Any) -> Run:
     return Run(messages)
 
 
-def status(at_s: float, state: Any, reason: str = "") -> Received[ServiceStatus]:
+def status(at_s: float, state: Any, reason: str = "", old_s: float = 0.0) -> DatedStatus:
     told = ServiceStatus(
         stamp_ns=1, state=state, reason=reason, published=0, dropped=0, bad_input=0, rate_hz=0.0,
         last_frame_age_s=None, stage_ms={}, rss_mb=1.0,
     )  # fmt: skip
-    return Received("pi0/radar/status", told, at_s, START_NS)
+    return DatedStatus(Received("pi0/radar/status", told, at_s, START_NS), Age(at_s, old_s))
 
 
 def test_a_new_watch_is_disconnected_since_it_was_first_asked(run: Run) -> None:
@@ -110,14 +111,29 @@ def test_exactly_as_far_ahead_as_allowed_is_no_clock_fault(run: Run) -> None:
     assert run.judge(8.375).cause == "clock"
 
 
-def test_the_clocks_offset_counts_and_no_offset_means_no_age(run: Run) -> None:
+def test_the_clocks_offset_counts(run: Run) -> None:
     run.take(8.0, old_s=0.25, around=THERE)
     assert run.watch.age_s(8.0) == 0.25
-    run.take(8.125, old_s=0.25, around=replace(THERE, clock_offset_s=-0.25))
+    run.take(8.125, old_s=0.25, around=replace(THERE, clock=SenderClock(-0.25)))
     assert run.watch.age_s(8.125) == 0.0
-    run.take(8.25, old_s=0.25, around=replace(THERE, clock_offset_s=None))
-    assert run.watch.age_s(8.25) == 0.0
-    assert run.watch.age_s(8.5) == 0.25
+    assert run.watch.age_s(8.375) == 0.25
+
+
+def test_data_that_may_be_over_its_limit_is_stale(run: Run) -> None:
+    """The clock is known to 125 ms: 0.375 s may be 0.5 s, which is in time; 0.5 s may be 0.625 s, which is not."""
+    around = replace(THERE, clock=SenderClock(0.0, 0.125))
+    for at_s in (8.0, 8.125):
+        run.take(at_s, old_s=0.125, around=around)
+    assert run.judge(8.375, around).state == "online"
+    told = run.judge(8.5, around)
+    assert (told.state, told.cause) == ("disconnected", "stale")
+    assert told.reason == "stale: data may be 0.62 s old (limit 0.5 s), its clock is known to 125 ms only"
+
+
+@pytest.mark.parametrize(("old_s", "cause"), [(3600.0, "stale"), (3600.125, "clock")])
+def test_no_network_holds_a_message_back_for_more_than_an_hour(run: Run, old_s: float, cause: str) -> None:
+    run.take(8.0, old_s=old_s)
+    assert run.judge(8.0).cause == cause
 
 
 def test_stale_says_whether_nothing_comes_or_whether_it_comes_late(run: Run) -> None:
@@ -137,18 +153,28 @@ def test_there_without_data_says_so_or_what_was_wrong_with_it(run: Run) -> None:
 
 
 def test_a_token_that_was_seen_and_went_is_a_process_that_ended(run: Run) -> None:
-    assert run.judge(1.0, Surroundings()).cause == "waiting"
+    assert run.judge(1.0, LinkState()).cause == "waiting"
     run.judge(1.125)
-    told = run.judge(1.25, Surroundings())
+    told = run.judge(1.25, LinkState())
     assert told.cause == "service_gone"
     assert told.reason == "radar on pi0 has ended; the host is up"
 
 
-def test_silence_for_longer_than_the_limit_before_the_token_went_is_the_host(messages: Any) -> None:
-    gone = Surroundings(host_alive=False)
+def test_silence_for_longer_than_a_status_period_before_the_token_went_is_the_host(messages: Any) -> None:
+    gone = LinkState(host_alive=False)
     at_the_limit, after_it = Run(messages).online(), Run(messages).online()
-    assert at_the_limit.judge(8.625, gone).cause == "service_gone"
-    assert after_it.judge(8.75, gone).cause == "host_unreachable"
+    assert at_the_limit.judge(9.625, gone).cause == "service_gone"
+    assert after_it.judge(9.75, gone).cause == "host_unreachable"
+    told = replace(gone, status=status(8.5, "online"))
+    assert Run(messages).online().judge(10.0, told).cause == "service_gone", "its status was heard later than its data"
+
+
+def test_nothing_heard_for_longer_than_a_status_period_is_a_process_that_hangs(run: Run) -> None:
+    run.online()
+    assert run.judge(9.625).cause == "stale"
+    assert run.judge(9.75).cause == "not_answering"
+    assert run.judge(9.75, replace(THERE, status=status(8.25, "online"))).cause == "stale"
+    assert run.judge(9.75, replace(THERE, undecodable="undecodable: x")).reason == "undecodable: x"
 
 
 def test_a_disconnected_sensor_has_no_level(run: Run) -> None:
@@ -166,6 +192,8 @@ def test_the_services_own_word_counts_as_long_as_it_is_fresh(run: Run) -> None:
     run.take(8.375)
     run.take(8.5)
     assert run.judge(8.5, hot).state == "online"
+    old_word = replace(THERE, status=status(8.5, "degraded", "too hot", old_s=3.125))
+    assert run.judge(8.5, old_word).state == "online"
     nameless = replace(THERE, status=status(8.5, "degraded"))
     assert run.judge(8.5, nameless).reason == "degraded, no reason given"
 
@@ -199,7 +227,7 @@ def test_the_age_is_told_in_tenths_of_a_millisecond(run: Run) -> None:
 
 def test_the_stages_of_an_age(run: Run) -> None:
     """Measured 100 ms ago (300 ms by a clock 200 ms behind ours), complete 20 ms and sent 50 ms after that."""
-    around = replace(THERE, clock_offset_s=-0.2)
+    around = replace(THERE, clock=SenderClock(-0.2))
     measured_ns = START_NS + 7_700_000_000
     for at_s in (8.0, 8.0078125):
         run.take(
@@ -232,3 +260,8 @@ def test_numbers_that_go_back_are_another_sender_unless_one_takes_over(
         run._seq = 10 * (eighth % 2)  # new measurements, alternately under old and new numbers
         run.take(8.0 + 0.125 * eighth, around=around)
     assert run.judge(9.0, around).cause == cause
+
+
+def test_a_stale_sensor_never_gives_a_time_within_its_limit_as_the_reason(run: Run) -> None:
+    run.take(8.0, old_s=0.25)
+    assert run.judge(8.5).reason == "stale: the last data is 0.75 s old (limit 0.5 s), the process is there"

@@ -21,18 +21,18 @@ def test_changes_are_logged_once_with_their_reason(bench: Any, caplog: pytest.Lo
         return [record.getMessage() for record in caplog.records]
 
     first = log_for(0.5)
-    assert first[0] == "SAFE -> GO by R0-clear: lidar, radar, camera see nothing near"
+    assert first[0] == "SAFE -> GO by R0-clear: LiDAR, radar, camera see nothing near"
     assert "radar online" in first
     assert log_for(1.0) == []
 
     bench.levels["radar"] = "IMMINENT"
     (line,) = log_for(0.3)
-    assert line.startswith("IMMINENT -> STOP by R1-worst-case: radar IMMINENT at 1.00 m (track 7); lower when: radar")
+    assert line.startswith("IMMINENT -> STOP by R1-worst-case: radar IMMINENT at 1.00 m; lower when: radar")
 
     bench.kill("radar")
-    lines = log_for(1.0)
-    assert lines[0] == "radar disconnected: radar on pi0 has ended"
-    assert lines[1].startswith("SAFE -> GO")
+    assert log_for(1.0) == ["radar disconnected: radar on pi0 has ended"], "the alarm stays"
     bench.start("radar")
     bench.levels["radar"] = "SAFE"
-    assert log_for(1.0)[-1] == "radar online"
+    lines = log_for(2.0)
+    assert "radar online" in lines
+    assert lines[-1].startswith("SAFE -> GO")

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
-from pathlib import Path
-from types import ModuleType
 
-import pytest
+from tests.jetson.fusion import mutants as mutator
 
 SOURCE = '''"""Docstring with 1 and SAFE."""
 LIMIT = 2
@@ -23,17 +20,7 @@ def decide(level: str, age: int = 3) -> str:
 '''
 
 
-@pytest.fixture(scope="module")
-def mutator() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("mutants", Path(__file__).parent / "mutants.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_each_place_is_changed_once(mutator: ModuleType) -> None:
+def test_each_place_is_changed_once() -> None:
     changed = sorted(what.partition("  ")[2] for what, _ in mutator.mutants(SOURCE))
     assert changed == sorted(
         ["[-> 3]", "[-> 0.55]", "[Eq -> NotEq]", "[-> 'CAUTION']", "[-> Or]", "[not dropped]", "[Lt -> LtE]",
@@ -41,7 +28,7 @@ def test_each_place_is_changed_once(mutator: ModuleType) -> None:
     )  # fmt: skip
 
 
-def test_every_mutant_is_a_program_that_differs(mutator: ModuleType) -> None:
+def test_every_mutant_is_a_program_that_differs() -> None:
     original = ast.unparse(ast.parse(SOURCE))
     texts = [ast.unparse(tree) for _, tree in mutator.mutants(SOURCE)]
     assert original not in texts
@@ -50,5 +37,5 @@ def test_every_mutant_is_a_program_that_differs(mutator: ModuleType) -> None:
         compile(text, "mutant", "exec")
 
 
-def test_it_can_be_kept_to_one_class(mutator: ModuleType) -> None:
+def test_it_can_be_kept_to_one_class() -> None:
     assert [what for what, _ in mutator.mutants(SOURCE, "Rules")] == ["hold: float = 0.5  [-> 0.55]"]

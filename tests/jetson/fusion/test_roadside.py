@@ -5,27 +5,21 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from common.geometry import pose_2d
-from common.messages import EgoMotion, ObjectTrack
-from services.jetson.fusion.config import FusionConfig, RoadsideConfig
-from services.jetson.fusion.roadside import (
-    RoadsideAlarm,
-    Threat,
-    compensate,
-    find_threat,
-    relative_motion,
-    tabulate,
-    time_to_enter,
-)
-from services.jetson.fusion.vehicle import rigid
+from common.messages import ObjectTrack, ObjectTracks
+from services.jetson.fusion.config import RoadsideConfig
+from services.jetson.fusion.outlines import Outline
+from services.jetson.fusion.roadside import RoadsideAlarm, RoadsideWatch, Threat, counting, find_threat, look_around
+from services.jetson.fusion.vehicle import Vehicle, rigid
 
-CONFIG = RoadsideConfig(sigmas=0.0, acceleration_mps2=0.0, front_m=0.5, rear_m=0.5, half_width_m=0.5)
 HERE = np.eye(4)
+SQUARE = {"sigmas": 0.0, "acceleration_mps2": 0.0, "front_m": 0.5, "rear_m": 0.5, "half_width_m": 0.5}
 
 
 def track(x_m: float, y_m: float, vx_mps: float, vy_mps: float, **more: Any) -> ObjectTrack:
@@ -37,13 +31,23 @@ def track(x_m: float, y_m: float, vx_mps: float, vy_mps: float, **more: Any) -> 
     return ObjectTrack(**(fields | more))
 
 
-def threat(*tracks: ObjectTrack, age_s: float = 0.0, pose: np.ndarray = HERE, speed: float = 0.0, **config: Any) -> Any:
-    settings = {"sigmas": 0.0, "acceleration_mps2": 0.0, "front_m": 0.5, "rear_m": 0.5, "half_width_m": 0.5} | config
-    return find_threat(tabulate(list(tracks)), age_s, pose, speed, 0.0, RoadsideConfig(**settings))
+def around(*tracks: ObjectTrack, age_s: float = 0.0, pose: np.ndarray = HERE, own: Outline | None = None) -> Any:
+    return look_around(counting(list(tracks)), age_s, pose, own or Outline(0.5, 0.5, 0.5), 2.0)
+
+
+def threat(
+    *tracks: ObjectTrack, age_s: float = 0.0, pose: np.ndarray = HERE, speed: float = 0.0, yaw_rate: float = 0.0,
+    **settings: Any,
+) -> Any:  # fmt: skip
+    own_id = settings.pop("own_id", None)
+    config = RoadsideConfig(**(SQUARE | settings))
+    own = Outline(config.front_m, config.rear_m, config.half_width_m, speed, yaw_rate)
+    seen = look_around(counting(list(tracks)), age_s, pose, own, config.acceleration_mps2)
+    return find_threat(seen, own, own_id, config)
 
 
 def test_a_car_that_comes_straight_at_us() -> None:
-    """10 m ahead at 4 m/s; outline 0.5 m plus the car's radius 0.5 m: 9 m to go, 2.25 s."""
+    """10 m ahead at 4 m/s; outline 0.5 m plus half the car's length of 1 m: 9 m to go, 2.25 s."""
     found = threat(track(10.0, 0.0, -4.0, 0.0))
     assert found is not None
     assert (found.level, found.deciding["ttc_s"], found.deciding["track_id"]) == ("CAUTION", 2.25, 3)
@@ -59,6 +63,12 @@ def test_the_limits_of_time_to_collision(speed_mps: float, level: str | None) ->
     assert (found.level if found else None) == level
 
 
+def test_touching_just_at_the_limit_is_not_within_it() -> None:
+    limits = {"caution_ttc_s": 1.0, "imminent_ttc_s": 0.5}
+    assert threat(track(10.0, 0.0, -9.0, 0.0), **limits) is None
+    assert threat(track(10.0, 0.0, -9.01, 0.0), **limits) is not None
+
+
 @pytest.mark.parametrize(
     "harmless",
     [
@@ -66,7 +76,6 @@ def test_the_limits_of_time_to_collision(speed_mps: float, level: str | None) ->
         track(10.0, 0.0, 4.0, 0.0),  # drives away
         track(5.0, 0.0, 0.0, 0.0),  # stands
         track(4.0, -4.0, 0.0, 4.0),  # crosses in front
-        track(0.1, 0.1, -1.0, 0.0),  # is the vehicle itself
         track(5.0, 0.0, -4.0, 0.0, state="tentative"),
         track(5.0, 0.0, -4.0, 0.0, label="background"),
         track(5.0, 0.0, -4.0, 0.0, covariance=(np.eye(6) * 9.0).tolist()),  # could be anywhere
@@ -77,16 +86,18 @@ def test_what_does_not_run_into_us(harmless: ObjectTrack) -> None:
 
 
 def test_the_limits_are_inclusive() -> None:
-    low, high = np.array([[-1.0, -1.0]]), np.array([[1.0, 1.0]])
-    for edge in (1.0, -1.0):
-        assert time_to_enter(np.array([[5.0, edge]]), np.array([[-1.0, 0.0]]), low, high).tolist() == [4.0]
-    assert time_to_enter(np.array([[1.0, 0.0]]), np.array([[1.0, 0.0]]), low, high).tolist() == [0.0], "leaves now"
-    assert time_to_enter(np.array([[-2.0, 0.0]]), np.array([[1.0, 1.0]]), low, high).tolist() == [1.0], "a corner"
     assert threat(track(1.4, 0.0, -0.5, 0.0), min_speed_mps=0.5) is not None, "just fast enough"
     assert threat(track(1.4, 0.0, -0.49, 0.0), min_speed_mps=0.5) is None
     for sigma_m, found in ((2.0, True), (2.1, False)):
         covariance = (np.eye(6) * sigma_m**2).tolist()
         assert (threat(track(5.0, 0.0, -4.0, 0.0, covariance=covariance)) is not None) == found
+
+
+def test_ourselves_are_no_threat_to_us() -> None:
+    assert threat(track(0.4, 0.0, -1.0, 0.0)) is not None
+    assert threat(track(0.4, 0.0, -1.0, 0.0), own_id=3) is None
+    both = (track(0.4, 0.0, -1.0, 0.0), track(5.0, 0.0, -4.0, 0.0, track_id=4))
+    assert threat(*both, own_id=3).deciding["track_id"] == 4
 
 
 @pytest.mark.parametrize(("vx_mps", "found"), [(-0.01, True), (0.0, False), (0.05, False)])
@@ -135,54 +146,94 @@ def test_the_vehicles_pose_places_the_track() -> None:
     assert threat(track(10.0, 0.0, -4.0, 0.0), pose=pose) is None
 
 
-def test_uncertainty_grows_with_age_and_widens_the_outline() -> None:
-    covariance = np.diag([0.04, 0.04, 0.04, 1.0, 1.0, 1.0])
-    table = tabulate([track(10.0, 0.0, -4.0, 0.0, covariance=covariance.tolist())])
-    _, young = compensate(table, 0.0, 2.0)
-    _, old = compensate(table, 0.5, 2.0)
-    assert young[0] == pytest.approx(0.2)
-    assert old[0] == pytest.approx(math.sqrt(0.04 + 0.25 * 1.0 + 0.25**2))
-    beside = track(10.0, 1.1, -4.0, 0.0, covariance=covariance.tolist())
+def test_uncertainty_grows_with_age_and_widens_the_outline_sideways() -> None:
+    covariance = np.diag([0.04, 0.04, 0.04, 1.0, 1.0, 1.0]).tolist()
+    young, old = (around(track(10.0, 0.0, -4.0, 0.0, covariance=covariance), age_s=age_s) for age_s in (0.0, 0.5))
+    assert young.sigma_m[0] == pytest.approx(0.2)
+    assert old.sigma_m[0] == pytest.approx(math.sqrt(0.04 + 0.25 * 1.0 + 0.25**2))
+    beside = track(10.0, 1.1, -4.0, 0.0, covariance=covariance)
     assert threat(beside) is None
     assert threat(beside, sigmas=1.0) is not None
+    straight = track(10.0, 0.0, -4.0, 0.0, covariance=covariance)
+    assert threat(straight, sigmas=1.0).deciding["ttc_s"] == 2.25, "how far away it is does not move the moment"
 
 
 def test_a_turning_vehicle_sees_the_world_turn() -> None:
-    position, velocity = relative_motion(np.array([[5.0, 2.0, 7.0]]), np.zeros((1, 3)), HERE, 1.0, 0.2)
-    assert position.tolist() == [[5.0, 2.0]]
-    assert velocity[0] == pytest.approx([-0.6, -1.0])
+    seen = around(track(5.0, 2.0, 0.0, 0.0), own=Outline(0.5, 0.5, 0.5, 1.0, 0.2))
+    assert seen.boxes.centre_m.tolist() == [[5.0, 2.0]]
+    assert seen.relative_mps[0] == pytest.approx([-0.6, -1.0])
 
 
-def test_the_longer_side_and_the_larger_uncertainty_count() -> None:
-    for size_m in ((1.0, 3.0, 9.0), (3.0, 1.0, 9.0)):
-        assert tabulate([track(0.0, 0.0, 0.0, 0.0, size_m=size_m)]).radius_m.tolist() == [1.5]
+def test_a_curve_leads_past_what_lies_straight_ahead_and_into_what_stands_in_it() -> None:
+    """2 m/s and 0.5 rad/s: a circle of 4 m radius. What stands 4 m ahead is passed; what stands on the arc is hit."""
+    assert threat(track(4.0, 0.0, 0.0, 0.0), speed=2.0) is not None
+    assert threat(track(4.0, -0.6, 0.0, 0.0), speed=2.0, yaw_rate=0.5) is None
+    on_the_arc = track(4.0 * math.sin(1.0), 4.0 * (1 - math.cos(1.0)), 0.0, 0.0)
+    assert threat(on_the_arc, speed=2.0, yaw_rate=0.5) is not None
+    assert threat(on_the_arc, speed=2.0) is None
+
+
+def test_the_larger_uncertainty_in_the_plane_counts() -> None:
     covariance = np.diag([0.01, 0.09, 25.0, 1.0, 1.0, 1.0]).tolist()
-    _, sigma_m = compensate(tabulate([track(0.0, 0.0, 0.0, 0.0, covariance=covariance)]), 0.0, 0.0)
-    assert sigma_m[0] == pytest.approx(0.3)
+    assert around(track(0.0, 0.0, 0.0, 0.0, covariance=covariance)).sigma_m[0] == pytest.approx(0.3)
 
 
-@pytest.mark.parametrize("at", [(0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5)])
-def test_the_edge_of_the_outline_is_still_the_vehicle_itself(at: tuple[float, float]) -> None:
-    assert threat(track(*at, -2.0 * at[0], -2.0 * at[1])) is None
+def turned(track_: ObjectTrack, T: np.ndarray, yaw_rad: float) -> ObjectTrack:
+    """The same track in a map that is turned and shifted."""
+    both = np.kron(np.eye(2), T[:3, :3])
+    return msgspec.structs.replace(
+        track_,
+        position_m=tuple(T[:3, :3] @ track_.position_m + T[:3, 3]),
+        velocity_mps=tuple(T[:3, :3] @ track_.velocity_mps),
+        covariance=(both @ np.array(track_.covariance) @ both.T).tolist(),
+        yaw_rad=track_.yaw_rad + yaw_rad,
+    )
 
 
-MILLIMETRES = st.integers(-20_000, 20_000).map(lambda value: value / 1000)
+@pytest.mark.parametrize("yaw_rad", [0.7, math.pi / 2, -2.4])
+def test_it_does_not_matter_how_the_map_lies(yaw_rad: float) -> None:
+    root = np.random.default_rng(5).normal(size=(6, 6))
+    covariance = (root @ root.T).tolist()
+    seen = track(4.0, -2.0, -3.0, 1.0, covariance=covariance, yaw_rad=0.4, size_m=(5.0, 2.0, 1.5))
+    T, own = pose_2d(30.0, -12.0, yaw_rad, 2.0), Outline(0.5, 0.5, 0.5, 1.0, 0.3)
+    here, there = around(seen, age_s=0.2, own=own), around(turned(seen, T, yaw_rad), age_s=0.2, pose=T, own=own)
+    for one, other in zip([*here.boxes, *here[2:]], [*there.boxes, *there[2:]], strict=True):
+        assert one == pytest.approx(other)
 
 
-@given(st.tuples(MILLIMETRES, MILLIMETRES), st.tuples(MILLIMETRES, MILLIMETRES))
-def test_entering_agrees_with_small_steps(start: tuple[float, float], velocity: tuple[float, float]) -> None:
-    position, speed = np.array([start]), np.array([velocity])
-    low, high = np.array([[-1.0, -1.0]]), np.array([[1.0, 1.0]])
-    (enter_s,) = time_to_enter(position, speed, low, high)
-    times = np.arange(0.0, 10.0, 0.01)
-    path = position + times[:, None] * speed
-    inside = (np.abs(path) <= 1.0 - 1e-9).all(axis=1)
-    if inside.any():
-        assert enter_s <= times[inside][0] + 1e-9
-        assert enter_s >= times[inside][0] - 0.01 - 1e-9
-    elif np.isfinite(enter_s) and enter_s < 9.9:
-        grazed = position + enter_s * speed
-        assert np.abs(grazed).max() <= 1.0 + 1e-6, "a corner cut between two steps"
+def test_the_covariance_is_that_of_place_and_velocity_in_the_plane() -> None:
+    covariance = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    covariance[0, 4] = covariance[4, 0] = 0.5
+    plane = around(track(1.0, 2.0, 0.0, 0.0, covariance=covariance.tolist())).boxes.covariance[0]
+    assert plane.tolist() == [[1.0, 0.0, 0.0, 0.5], [0.0, 2.0, 0.0, 0.0], [0.0, 0.0, 4.0, 0.0], [0.5, 0.0, 0.0, 5.0]]
+
+
+def test_nobody_around() -> None:
+    seen = around()
+    assert (seen.sigma_m.shape, seen.beside_m.shape, seen.boxes.covariance.shape) == ((0,), (0,), (0, 4, 4))
+
+
+@pytest.mark.parametrize(("own_error_m", "level"), [(0.5, None), (0.49, "IMMINENT")])
+def test_exactly_as_far_beside_us_as_allowed_may_be_us(own_error_m: float, level: str | None) -> None:
+    """Nobody knows how we move; the track's middle is 0.5 m before the outline and its box touches it."""
+    watch = RoadsideWatch(RoadsideConfig(**SQUARE, own_error_m=own_error_m))
+    vehicle = Vehicle(None, None, None, HERE, is_configured=False)
+    for stamp_ns in range(3):
+        watch.take(ObjectTracks(stamp_ns=stamp_ns, tracks=[track(1.0, 0.0, -1.0, 0.0)]), 0.0, vehicle)
+    assert watch.level == level
+
+
+def test_without_a_pose_no_track_can_be_placed() -> None:
+    with pytest.raises(ValueError, match="pose"):
+        RoadsideWatch(RoadsideConfig()).take(ObjectTracks(stamp_ns=1, tracks=[]), 0.0, Vehicle(None, None, None, None))
+
+
+@pytest.mark.parametrize(
+    ("x_m", "y_m", "beside_m"),
+    [(0.5, -0.5, 0.0), (0.75, 0.0, 0.25), (-0.8, 0.0, 0.3), (0.0, -0.9, 0.4), (0.8, 0.9, 0.5), (0.1, 0.2, 0.0)],
+)
+def test_how_far_beside_our_outline_a_track_is(x_m: float, y_m: float, beside_m: float) -> None:
+    assert around(track(x_m, y_m, 0.0, 0.0)).beside_m[0] == pytest.approx(beside_m)
 
 
 def test_rigid_transforms_only() -> None:
@@ -206,61 +257,3 @@ def test_raise_three_clear_four(levels: list[Any]) -> None:
             if count >= 4 and expected >= band and all(rank < band for rank in ranks[count - 4 : count]):
                 expected = band - 1
         assert told == (None, "CAUTION", "IMMINENT")[expected]
-
-
-def with_roadside(new_bench: Any, **settings: Any) -> Any:
-    bench = new_bench(FusionConfig(roadside=RoadsideConfig(enabled=True, **settings)))
-    bench.run(1.0)
-    return bench
-
-
-def test_off_by_default(bench: Any) -> None:
-    bench.extra["infra_lidar"] = {"tracks": [track(3.0, 0.0, -4.0, 0.0)]}
-    assert bench.run(1.0).level == "SAFE"
-    assert "infra_lidar" not in bench.verdict.inputs
-
-
-def test_the_roadside_raises_the_verdict_and_says_why(new_bench: Any) -> None:
-    bench = with_roadside(new_bench)
-    assert bench.verdict.level == "SAFE"
-    bench.extra["infra_lidar"] = {"tracks": [track(3.0, 0.0, -4.0, 0.0)]}
-    assert bench.run(0.2).level == "SAFE", "two messages are not enough"
-    verdict = bench.run(0.1)
-    assert (verdict.level, verdict.rule) == ("IMMINENT", "I1-roadside")
-    assert verdict.deciding["track_id"] == 3
-    assert verdict.inputs["infra_lidar"].used
-    bench.extra["infra_lidar"] = {}
-    assert bench.run(0.3).level == "IMMINENT", "three empty messages are not enough"
-    assert bench.run(0.1).level == "SAFE"
-
-
-@pytest.mark.parametrize("fault", ["kill", "silent"])
-def test_a_roadside_that_is_gone_changes_nothing_else(new_bench: Any, fault: str) -> None:
-    bench = with_roadside(new_bench)
-    bench.kill("infra_lidar") if fault == "kill" else bench.silent.add("infra_lidar")
-    verdict = bench.run(1.0)
-    assert (verdict.level, verdict.permission) == ("SAFE", "GO")
-    assert (bench.health.colour, bench.health.summary) == ("green", "ALL SENSORS ONLINE")
-    assert bench.is_in("infra_lidar", "disconnected")
-    assert not verdict.inputs["infra_lidar"].used
-
-
-def test_a_clear_roadside_lowers_nothing(new_bench: Any) -> None:
-    bench = with_roadside(new_bench)
-    bench.levels["lidar"] = "IMMINENT"
-    assert bench.run(0.3).level == "IMMINENT"
-
-
-def test_ego_motion_places_the_vehicle_and_a_lost_pose_ends_the_help(new_bench: Any) -> None:
-    bench = with_roadside(new_bench, pose_x_m=500.0)
-    bench.extra["infra_lidar"] = {"tracks": [track(103.0, 0.0, -4.0, 0.0)]}
-    assert bench.run(0.5).level == "SAFE"
-    pose = pose_2d(100.0, 0.0, 0.0).tolist()
-    for _ in range(6):
-        motion = EgoMotion(stamp_ns=bench.now_ns, speed_mps=0.0, yaw_rate_radps=0.0, T_map_vehicle=pose)
-        bench.receive("jetson0/ego/motion", motion)
-        bench.tick()
-    assert bench.verdict.level == "IMMINENT"
-    verdict = bench.run(1.0)
-    assert verdict.level == "SAFE"
-    assert "pose is unknown" in verdict.inputs["infra_lidar"].why

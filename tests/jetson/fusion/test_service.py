@@ -11,16 +11,16 @@ import pytest
 import zenoh
 
 from common import topics
+from common.bus.presence import Presence
+from common.bus.pubsub import Latest
+from common.bus.runtime import Service
+from common.bus.session import build, open_session
+from common.bus.status import Report
 from common.clock import utc_ns
 from common.config import ServiceConfig, ZenohConfig
 from common.messages import SystemHealth, Verdict
-from common.presence import Presence
-from common.pubsub import Latest
-from common.runtime import Service
-from common.session import build, open_session
-from common.status import Report
+from common.topics import SENSOR_TOPICS
 from services.jetson.fusion.config import FusionConfig
-from services.jetson.fusion.inbox import SENSOR_TOPICS
 from services.jetson.fusion.pipeline import FusionPipeline
 from services.jetson.fusion.source import observe
 
@@ -127,7 +127,7 @@ def test_it_waits_for_every_sensor_and_then_follows_the_levels(
     assert laptop.verdict
     assert laptop.health
     assert (laptop.verdict.level, laptop.verdict.permission, laptop.verdict.blind) == ("CAUTION", "STOP", True)
-    assert laptop.health.summary == "ALL SENSORS OFFLINE, SYSTEM BLIND"
+    assert laptop.health.summary == "ALL VEHICLE SENSORS OUT, SYSTEM BLIND"
     assert laptop.health.sensors["radar"].cause == "waiting"
 
     running = {
@@ -144,8 +144,13 @@ def test_it_waits_for_every_sensor_and_then_follows_the_levels(
     assert laptop.verdict.deciding["track_id"] == 7
 
     running["radar"].close()
-    laptop.until(lambda: laptop.state("radar") == "disconnected" and laptop.verdict.level == "SAFE")  # type: ignore[union-attr]
-    assert laptop.health.summary == "RADAR DISCONNECTED: no velocity / no TTC"
+    laptop.until(lambda: laptop.state("radar") == "disconnected" and laptop.verdict.rule == "H1-held")  # type: ignore[union-attr]
+    assert (laptop.verdict.level, laptop.verdict.permission) == ("IMMINENT", "STOP"), "its death ends no alarm"
+    (reply,) = laptop.session.get("jetson0/fusion/acknowledge", timeout=BUDGET_S)
+    assert reply.ok is not None
+    assert reply.ok.payload.to_string() == "taken: alarms that no sensor sees now are ended"
+    laptop.until(lambda: laptop.verdict.level == "SAFE")  # type: ignore[union-attr]
+    assert laptop.health.summary == "radar DISCONNECTED: no velocity / no TTC"
     assert laptop.health.sensors["radar"].cause == "service_gone"
     for sensor in running.values():
         sensor.close()

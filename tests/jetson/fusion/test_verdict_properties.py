@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.messages import Verdict
+from common.topics import spoken
 from services.jetson.fusion.config import RulesConfig
 from services.jetson.fusion.evidence import RANK
 from services.jetson.fusion.verdict import FusionInputs, FusionMemory, SensorInput, fuse
@@ -151,6 +152,8 @@ def test_the_camera_alone_never_changes_the_verdict_of_a_clear_lidar(
     clear = replace(last, lidar=replace(last.lidar, state="online", level="SAFE"))
     if clear.radar.state != "disconnected" and RANK[clear.radar.level] >= RANK["CAUTION"]:
         return
+    if any(claim.by != "camera" for claim in memory.claims):
+        return  # not yet seen gone by the sensor that raised it: the camera may confirm it
     with_camera = replace(clear, camera=replace(clear.camera, state="online", level=seen))
     empty = replace(clear, camera=replace(clear.camera, state="online", level=None))
     assert fuse(with_camera, memory)[0].level == fuse(empty, memory)[0].level
@@ -161,15 +164,13 @@ def test_the_camera_alone_never_changes_the_verdict_of_a_clear_lidar(
 def test_suppression_is_short_and_only_with_everything_in_order(history: list[FusionInputs]) -> None:
     since_s = None
     for step, verdict in zip(history, run(history), strict=True):
-        if step.lidar.state == "online" and step.lidar.level in (None, "SAFE"):
-            since_s = None
-        elif step.lidar.state != "disconnected" and step.lidar.level in ("CAUTION", "IMMINENT") and since_s is None:
-            since_s = step.now_s
+        if step.lidar.state != "disconnected" and step.lidar.level in ("CAUTION", "IMMINENT") and since_s is None:
+            since_s = step.now_s  # no history is long enough for the budget to come back
         if verdict.suppressed:
             assert since_s is not None
             assert step.now_s - since_s < RULES.suppression_limit_s
             assert out_of(step) == 0
-            assert step.lidar.level == "CAUTION"
+            assert step.lidar.level != "IMMINENT"
             assert step.radar.level in (None, "SAFE")
             assert step.camera.level is None
             assert step.camera.age_s is not None
@@ -179,7 +180,7 @@ def test_suppression_is_short_and_only_with_everything_in_order(history: list[Fu
 @settings(max_examples=300)
 @given(HISTORIES.map(timeline), MOMENTS, st.sampled_from(LEVELS), st.sampled_from(STATES))
 def test_the_roadside_only_ever_raises(history: list[FusionInputs], number: int, level: Any, state: Any) -> None:
-    memory, last = after(history), moment(number)[0]
+    memory, last = after([replace(step, roadside=None) for step in history]), moment(number)[0]
     without, _ = fuse(replace(last, roadside=None), memory)
     with_it, _ = fuse(replace(last, roadside=SensorInput(state, level)), memory)
     assert RANK[with_it.level] >= RANK[without.level]
@@ -201,6 +202,6 @@ def test_every_verdict_explains_itself(history: list[FusionInputs]) -> None:
         assert bool(verdict.to_lower) == (verdict.level != "SAFE")
         for name, told in verdict.inputs.items():  # whoever holds the level up is named
             if name in ("lidar", "radar") and told.used and RANK[told.level] == RANK[verdict.level] > RANK["SAFE"]:
-                assert f"{name} to report" in verdict.to_lower
+                assert f"{spoken(name)} to report" in verdict.to_lower
         assert {"lidar", "radar", "camera"} <= set(verdict.inputs)
         assert ("infra_lidar" in verdict.inputs) == (step.roadside is not None)

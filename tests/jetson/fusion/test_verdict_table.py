@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 import itertools
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
 from services.jetson.fusion.verdict import RULES, FusionInputs, FusionMemory, SensorInput, fuse
+from tests.jetson.fusion import written_rules
 
 HERE = Path(__file__).parent
 GOLDEN = HERE / "golden_verdicts.csv"
@@ -58,16 +57,6 @@ def expected(row: dict[str, str]) -> tuple[Any, ...]:
 def golden() -> list[dict[str, str]]:
     with GOLDEN.open() as file:
         return list(csv.DictReader(file))
-
-
-@pytest.fixture(scope="module")
-def written_rules() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("written_rules", HERE / "written_rules.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_every_golden_row(golden: list[dict[str, str]]) -> None:
@@ -178,9 +167,7 @@ def test_the_golden_table_is_the_published_one(golden: list[dict[str, str]]) -> 
     assert checked == 120
 
 
-def test_golden_file_and_documentation_are_what_the_written_rules_say(
-    written_rules: ModuleType, tmp_path: Path
-) -> None:
+def test_golden_file_and_documentation_are_what_the_written_rules_say(tmp_path: Path) -> None:
     written_rules.write_golden(tmp_path / "golden.csv")
     assert (tmp_path / "golden.csv").read_text() == GOLDEN.read_text(), "run tests/jetson/fusion/written_rules.py"
     assert written_rules.DOCUMENT.read_text() == written_rules.document(), "run tests/jetson/fusion/written_rules.py"

@@ -37,7 +37,8 @@ def recording(levels: str) -> Recording:
         reading = read(message)
         lidar = SensorInput(
             state="online", level=reading.level, age_s=0.02, nearest_m=reading.nearest_m, stamp_ns=message.stamp_ns,
-            static_level=reading.static_level, deciding=reading.deciding,
+            static_level=reading.static_level, deciding=reading.deciding, sightings=reading.sightings,
+            raw_level=reading.raw_level,
         )  # fmt: skip
         radar = SensorInput(state="online", level="SAFE", age_s=0.05)
         camera = SensorInput(state="online", level=None, age_s=0.1)
@@ -102,7 +103,7 @@ def test_a_changed_sensor_message_is_found() -> None:
 def test_a_changed_memory_is_found() -> None:
     def change(message: Message) -> None:
         assert isinstance(message, FusionTrace)
-        message.memory["suppression_spent"] = True
+        message.memory["suppression"] = [None, None, True, None]
 
     report = verify(tamper(recording("SCCC"), "trace", 2, change, FusionTrace))
     assert "verdict 2: began with" in report.difference

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from common.messages import LaserScan
-from common.sim import ld06
+from spotter_sim import ld06
 
 SCAN_NS = 100_000_000  # one turn at 10 Hz
 START_NS = 1_800_000_000_000_000_000

@@ -9,18 +9,18 @@ import pytest
 
 from common.messages import LaserScan
 from services.jetson.lidar.config import FilterSection, MountingSection
-from services.jetson.lidar.filters import Fate, judge, returns_of
+from services.jetson.lidar.filters import RejectReason, judge, returns_of
 
 Scan = Callable[..., LaserScan]
 
 
-def fates(scan: LaserScan, mounting: MountingSection | None = None, **filters: float) -> np.ndarray:
-    """The fate of each beam in the scan's own order."""
+def reject_reasons(scan: LaserScan, mounting: MountingSection | None = None, **filters: float) -> np.ndarray:
+    """The ``RejectReason`` of each beam in the scan's own order."""
     mounting = mounting or MountingSection()
     returns = returns_of(scan, mounting)
-    fate = judge(returns, FilterSection(**filters), mounting)  # type: ignore[arg-type]
-    result = np.empty_like(fate)
-    result[returns.order] = fate
+    reject_reason = judge(returns, FilterSection(**filters), mounting)  # type: ignore[arg-type]
+    result = np.empty_like(reject_reason)
+    result[returns.order] = reject_reason
     return result
 
 
@@ -30,36 +30,36 @@ def change(scan: LaserScan, beams: slice | list[int], range_m: float, confidence
 
 
 @pytest.mark.parametrize(
-    ("range_m", "confidence", "fate"),
+    ("range_m", "confidence", "reject_reason"),
     [
-        (0.0, 0, Fate.NO_ECHO),
-        (0.0, 99, Fate.NO_ECHO),
-        (0.0, 100, Fate.ECHO_ONLY),
-        (float("nan"), 0, Fate.NO_ECHO),
-        (float("inf"), 0, Fate.NO_ECHO),
-        (0.199, 200, Fate.NEAR),
-        (0.2, 200, Fate.USED),
-        (12.0, 200, Fate.USED),
-        (12.01, 200, Fate.FAR),
-        (2.0, 14, Fate.WEAK),
-        (2.0, 15, Fate.USED),
+        (0.0, 0, RejectReason.NO_ECHO),
+        (0.0, 99, RejectReason.NO_ECHO),
+        (0.0, 100, RejectReason.ECHO_ONLY),
+        (float("nan"), 0, RejectReason.NO_ECHO),
+        (float("inf"), 0, RejectReason.NO_ECHO),
+        (0.199, 200, RejectReason.NEAR),
+        (0.2, 200, RejectReason.USED),
+        (12.0, 200, RejectReason.USED),
+        (12.01, 200, RejectReason.FAR),
+        (2.0, 14, RejectReason.WEAK),
+        (2.0, 15, RejectReason.USED),
     ],
 )
-def test_each_fate(scan_of: Scan, range_m: float, confidence: int, fate: Fate) -> None:
+def test_each_reject_reason(scan_of: Scan, range_m: float, confidence: int, reject_reason: RejectReason) -> None:
     front = slice(215, 235)
-    assert set(fates(change(scan_of([], 3.0), front, range_m, confidence))[front]) == {int(fate)}
+    assert set(reject_reasons(change(scan_of([], 3.0), front, range_m, confidence))[front]) == {int(reject_reason)}
 
 
 def test_the_geometric_check_finds_what_the_floor_lets_through(scan_of: Scan) -> None:
     """A mast 0.25 m behind the sensor is beyond the 0.20 m floor and stands on the vehicle."""
     mast = slice(0, 6)  # straight behind
-    assert set(fates(change(scan_of([], 3.0), mast, 0.25))[mast]) == {int(Fate.BODY)}
-    assert set(fates(change(scan_of([], 3.0), mast, 0.40))[mast]) == {int(Fate.USED)}
+    assert set(reject_reasons(change(scan_of([], 3.0), mast, 0.25))[mast]) == {int(RejectReason.BODY)}
+    assert set(reject_reasons(change(scan_of([], 3.0), mast, 0.40))[mast]) == {int(RejectReason.USED)}
     # A sensor set back by 0.3 m looks over a bonnet, which is in the forward cone
     bonnet = slice(220, 230)
     set_back = MountingSection(front_m=0.30)
-    assert set(fates(change(scan_of([], 3.0), bonnet, 0.28), set_back)[bonnet]) == {int(Fate.BODY)}
-    assert set(fates(change(scan_of([], 3.0), bonnet, 0.34), set_back)[bonnet]) == {int(Fate.USED)}
+    assert set(reject_reasons(change(scan_of([], 3.0), bonnet, 0.28), set_back)[bonnet]) == {int(RejectReason.BODY)}
+    assert set(reject_reasons(change(scan_of([], 3.0), bonnet, 0.34), set_back)[bonnet]) == {int(RejectReason.USED)}
 
 
 @pytest.mark.parametrize(
@@ -67,9 +67,9 @@ def test_the_geometric_check_finds_what_the_floor_lets_through(scan_of: Scan) ->
     [([225], 255, False), ([225, 226], 200, False), ([225, 226], 220, True), ([225, 226, 227], 30, True)],
 )
 def test_isolated_returns(scan_of: Scan, beams: list[int], confidence: int, believed: bool) -> None:
-    fate = fates(change(scan_of([], 3.0), beams, 0.6, confidence))
-    assert set(fate[beams]) == {int(Fate.USED if believed else Fate.ISOLATED)}
-    assert np.count_nonzero(fate == Fate.USED) == 450 - (0 if believed else len(beams))
+    reject_reason = reject_reasons(change(scan_of([], 3.0), beams, 0.6, confidence))
+    assert set(reject_reason[beams]) == {int(RejectReason.USED if believed else RejectReason.ISOLATED)}
+    assert np.count_nonzero(reject_reason == RejectReason.USED) == 450 - (0 if believed else len(beams))
 
 
 def test_ghosts_in_front_of_a_wall_do_not_spoil_the_wall(scan_of: Scan) -> None:
@@ -77,9 +77,9 @@ def test_ghosts_in_front_of_a_wall_do_not_spoil_the_wall(scan_of: Scan) -> None:
     ghosts = list(range(200, 250, 3))
     for number, beam in enumerate(ghosts):
         change(scan, [beam], 0.5 + 0.3 * (number % 3), 60)
-    fate = fates(scan)
-    assert set(fate[ghosts]) == {int(Fate.ISOLATED)}
-    assert np.count_nonzero(fate == Fate.USED) == 450 - len(ghosts)
+    reject_reason = reject_reasons(scan)
+    assert set(reject_reason[ghosts]) == {int(RejectReason.ISOLATED)}
+    assert np.count_nonzero(reject_reason == RejectReason.USED) == 450 - len(ghosts)
 
 
 def test_order_of_the_beams_does_not_matter(scan_of: Scan) -> None:
@@ -91,9 +91,11 @@ def test_order_of_the_beams_does_not_matter(scan_of: Scan) -> None:
         ranges_m=scan.ranges_m[shuffle],
         confidence=scan.confidence[shuffle],
     )
-    np.testing.assert_array_equal(fates(shuffled), fates(scan)[shuffle])
+    np.testing.assert_array_equal(reject_reasons(shuffled), reject_reasons(scan)[shuffle])
 
 
 def test_no_beams_at_all() -> None:
     empty = np.empty(0, np.float32)
-    assert len(fates(LaserScan(stamp_ns=0, angles_rad=empty, ranges_m=empty, confidence=empty.astype("u1")))) == 0
+    assert (
+        len(reject_reasons(LaserScan(stamp_ns=0, angles_rad=empty, ranges_m=empty, confidence=empty.astype("u1")))) == 0
+    )

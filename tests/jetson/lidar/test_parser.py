@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.sim import ld06
 from services.jetson.lidar.parser import PACKET_BYTES, Ld06Parser, Packet, crc8, crc_table
+from spotter_sim import ld06
 
 SlowParse = Callable[..., list[bytes]]
 

@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from common.bus.status import Report
 from common.codec import decode, encode
 from common.messages import LEVELS, LaserScan, LidarZones
-from common.sim import ld06
-from common.sim.truth import LIDAR_BANDS_M, band, lidar_zones
-from common.sim.world import SCENARIOS, world_at
-from common.status import Report
 from services.jetson.lidar.config import LidarConfig, PersistenceSection
 from services.jetson.lidar.decoder import ScanDecoder
 from services.jetson.lidar.parser import PACKET_BYTES
 from services.jetson.lidar.pipeline import LidarPipeline
 from services.jetson.lidar.plot import draw
+from spotter_sim import ld06
+from spotter_sim.truth import LIDAR_BANDS_M, band, lidar_zones
+from spotter_sim.world import SCENARIOS, world_at
 
 START_NS = 1_800_000_000_000_000_000
 BYTE_S = 8e-3 / 3 / PACKET_BYTES
@@ -146,7 +146,7 @@ def test_picture_shows_lanes_returns_and_words(scan_of: Callable[..., LaserScan]
     scan = scan_of([(0.5, 0.14, 0.3)], 2.5)
     for number in range(4):
         zones = pipeline.process(START_NS + number * 10**8, scan)
-    picture = draw(scan, pipeline.fate, zones, config)
+    picture = draw(scan, pipeline.reject_reason, zones, config)
     red = np.argwhere((np.abs(picture[110:].astype(int) - (50, 50, 220)) < 30).all(axis=2))
     middle = picture.shape[1] / 2
     assert (zones.left.level, zones.right.level) == ("IMMINENT", "SAFE")

@@ -18,11 +18,11 @@ import pytest
 import zenoh
 
 from common import topics
+from common.bus.session import open_session
 from common.codec import decode
 from common.config import ZenohConfig
 from common.messages import LaserScan, LidarZones, ServiceStatus
-from common.session import open_session
-from common.sim import ld06
+from spotter_sim import ld06
 
 pytestmark = pytest.mark.patient
 BUDGET_S = 20.0

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from common.messages import LaserScan
 from services.jetson.lidar.config import LidarConfig, MountingSection, ZonesSection
-from services.jetson.lidar.filters import Fate, judge, returns_of
-from services.jetson.lidar.zones import lane_of, level_of, measure, points_near, points_needed
+from services.jetson.lidar.filters import RejectReason, judge, returns_of
+from services.jetson.lidar.zones import LaneScanner, lane_of, level_of, points_near, points_needed
 
 Scan = Callable[..., LaserScan]
 
@@ -20,8 +20,8 @@ Scan = Callable[..., LaserScan]
 def nearest(scan: LaserScan, config: LidarConfig | None = None) -> list[float | None]:
     config = config or LidarConfig()
     returns = returns_of(scan, config.mounting)
-    used = judge(returns, config.filter, config.mounting) == Fate.USED
-    return [one.nearest_m for one in measure(returns, used, config.zones)]
+    used = judge(returns, config.filter, config.mounting) == RejectReason.USED
+    return [one.nearest_m for one in LaneScanner(config.zones).measure(returns, used)]
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_the_smallest_object_is_seen(scan_of: Scan, width_m: float, distance_m: 
 @given(st.lists(st.floats(0.0, 3.0), max_size=60), st.floats(0.01, 0.5))
 def test_points_near_equals_the_obvious_count(x: list[float], near_m: float) -> None:
     obvious = [sum(a - near_m <= b <= a + near_m for b in x) for a in x]
-    assert points_near(np.array(x), near_m).tolist() == obvious
+    assert points_near(np.array(x), np.array(x), near_m).tolist() == obvious
 
 
 def test_bands_are_inclusive_and_single_precision_does_not_matter(scan_of: Scan) -> None:

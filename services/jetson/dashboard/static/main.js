@@ -1,11 +1,12 @@
 // One socket, one state, one draw per period. Everything drawn carries its age; what is too old is drawn as stale.
 import { connect, newest, silentMs, state } from "/static/store.js";
-import { drawVerdict, drawHealth, drawSensors, drawServices, drawHistory, drawLatency, drawRecording } from "/static/words.js";
+import { drawVerdict, drawOrigin, drawHealth, drawSlim, drawSensors, drawServices, drawHistory, drawLatency, drawRecording } from "/static/words.js";
 import { drawTimeline } from "/static/timeline.js";
 import { drawAhead } from "/static/ahead.js";
 import { drawRadar } from "/static/radar.js";
 import { cloudIsOn, drawRoadside, onCloudToggle } from "/static/roadside.js";
 import { drawCamera } from "/static/camera.js";
+import { drawGate } from "/static/gate.js";
 import { soundFor } from "/static/sound.js";
 
 const CUT_AFTER_MS = 1000;
@@ -16,7 +17,7 @@ const inSight = new Set();
 // Only what is on the screen, or nearly: a phone asks for a view or two.
 function wanted() {
   if (document.hidden) return ["fusion/verdict"];
-  const products = new Set(["fusion/verdict", "fusion/health", ...[...inSight].flatMap((view) => view.dataset.products.split(" "))]);
+  const products = new Set(["fusion/verdict", "fusion/health", "gate/state", ...[...inSight].flatMap((view) => view.dataset.products.split(" "))]);
   if (!cloudIsOn()) products.delete("infra_lidar/points");
   return [...products];
 }
@@ -50,16 +51,19 @@ function draw() {
   const health = newest("fusion/health");
   const zones = newest("lidar/zones");
   const radar = newest("radar/tracks");
-  const level = drawVerdict(verdict, cut);
-  soundFor(level);
+  const face = drawVerdict(verdict, cut);
+  soundFor(face === "BLIND" ? verdict.message.level : face);
+  drawOrigin(health, verdict);
   drawHealth(health, cut);
+  drawGate(newest("gate/state"), cut);
+  drawSlim(face);
   drawSensors(health, verdict);
   drawLatency(health, verdict, newest("fusion/status"));
   drawServices(state.entries);
   drawRecording(state.entries, cut);
   drawHistory(state.verdicts, state.healths);
-  drawTimeline(state.verdicts, level);
-  drawAhead(newest("lidar/scan"), zones, radar);
+  drawTimeline(state.verdicts, face);
+  drawAhead(newest("lidar/scan"), zones, radar, newest("fusion/verdict"));
   drawRadar(radar);
   drawRoadside(newest("infra_lidar/tracks"), newest("infra_lidar/points"), newest("ego/motion"));
   drawCamera(newest("camera/image"), newest("camera/detections"));

@@ -1,5 +1,6 @@
 // Range against velocity (closing is left), and a bar per approaching track: the shorter, the sooner.
 import { prepare, LEVEL_COLOURS } from "/static/canvas.js";
+import { ageWords } from "/static/store.js";
 
 const STALE_MS = 500;
 const TTC_SPAN_S = 4;
@@ -72,7 +73,7 @@ function drawBars(radar) {
 function describe(radar) {
   const message = radar.message;
   const view = !message.settled ? "settling: a clear radar means nothing yet" : message.reason || `noise floor ${message.noise_floor_db.toFixed(0)} dB, sees ${message.range_min_m.toFixed(1)} to ${message.range_max_m.toFixed(1)} m, up to ${message.v_max_mps.toFixed(1)} m/s`;
-  const text = radar.ageMs > STALE_MS ? `stale for ${(radar.ageMs / 1000).toFixed(1)} s` : view;
+  const text = radar.ageMs > STALE_MS ? `stale: ${ageWords(radar.ageMs)} old` : view;
   const words = document.getElementById("radar-words");
   if (words.textContent !== text) words.textContent = text;
 }

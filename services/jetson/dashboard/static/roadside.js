@@ -1,6 +1,7 @@
 // What the pole sees, in the map frame: boxes with class, id, velocity and trail; the cloud in 3-D when asked for.
 // From above x is up and y is left, as in the view ahead of the vehicle.
 import { prepare, list, unit } from "/static/canvas.js";
+import { ageWords } from "/static/store.js";
 
 const STALE_MS = 500;
 const TRAIL_MS = 6000;
@@ -66,7 +67,7 @@ export function drawRoadside(tracks, cloud, ego) {
   const counts = {};
   for (const track of shown) counts[track.label] = (counts[track.label] ?? 0) + 1;
   const words = Object.entries(counts).map(([label, n]) => `${n} ${label.replace("_", " ")}`).join(", ") || "nobody";
-  say(tracks.ageMs > STALE_MS ? `stale for ${(tracks.ageMs / 1000).toFixed(1)} s` : tracks.message.reason ? `${words} · ${tracks.message.reason}` : words);
+  say(tracks.ageMs > STALE_MS ? `stale: ${ageWords(tracks.ageMs)} old` : tracks.message.reason ? `${words} · ${tracks.message.reason}` : words);
 }
 
 function say(text) {

@@ -1,21 +1,23 @@
 // The newest of everything, as the server last told it, and how old each thing is by now. What is not asked for at the
-// moment stays, and ages.
+// moment stays, but it is not shown: its age here says nothing of the sensor.
 export const state = { entries: {}, verdicts: [], healths: [], arrivedMs: -Infinity };
 
 export const silentMs = () => performance.now() - state.arrivedMs;
 export const ageMs = (entry) => performance.now() - entry.sinceMs;
+export const ageWords = (ms) => (ms < 950 ? `${Math.round(ms / 50) * 50} ms` : `${(ms / 1000).toFixed(1)} s`);
 
 function take({ entries, verdicts, healths }) {
   const now = performance.now();
-  for (const [key, { age_ms: age, message }] of Object.entries(entries)) state.entries[key] = { message, sinceMs: now - age };
+  for (const [key, { age_ms: age, message }] of Object.entries(entries)) state.entries[key] = { message, sinceMs: now - age, toldMs: now };
   Object.assign(state, { verdicts, healths, arrivedMs: now });
 }
 
-// The newest message of a product on any host, its age now, and the host; null when there never was one.
+// The newest message of a product on any host, its age now, and the host; null when the server told of none the last
+// time, because there never was one or because it was not asked for.
 export function newest(product) {
   let best = null;
   for (const [key, entry] of Object.entries(state.entries)) {
-    if (key.slice(key.indexOf("/") + 1) !== product) continue;
+    if (key.slice(key.indexOf("/") + 1) !== product || entry.toldMs !== state.arrivedMs) continue;
     if (!best || ageMs(entry) < best.ageMs) best = { host: key.split("/")[0], ageMs: ageMs(entry), message: entry.message };
   }
   return best;

@@ -6,7 +6,7 @@ const SHORT = { span: 60_000, step: 15_000, name: (ms) => `${ms / 1000} s ago` }
 const LONG = { span: 300_000, step: 60_000, name: (ms) => `${ms / 60_000} min ago` };
 const HEIGHT = { SAFE: 0.3, CAUTION: 0.65, IMMINENT: 1.0 };
 
-export function drawTimeline(verdicts, level) {
+export function drawTimeline(verdicts, face) {
   const { pen, width, height, colour } = prepare("timeline");
   if (!verdicts.length) return;
   const now = Date.now();
@@ -15,7 +15,7 @@ export function drawTimeline(verdicts, level) {
   verdicts.forEach((verdict, index) => {
     const next = verdicts[index + 1];
     const from = Math.max(0, x(verdict.stamp_ns / 1e6));
-    const to = next ? x(next.stamp_ns / 1e6) : level === "none" ? from : width;
+    const to = next ? x(next.stamp_ns / 1e6) : face === "none" ? from : width;
     if (to <= 0) return;
     const tall = HEIGHT[verdict.level] * (height - 20);
     pen.fillStyle = colour(verdict.level.toLowerCase());

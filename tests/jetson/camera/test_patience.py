@@ -1,0 +1,25 @@
+"""How long a capture child may be silent: longer for a camera that has shown to be slow."""
+
+from __future__ import annotations
+
+from services.jetson.camera.capture import QUICK_PICTURES, Patience
+from services.jetson.camera.config import CaptureConfig
+
+
+def test_patience_grows_for_the_slow_and_shrinks_for_the_quick() -> None:
+    patience = Patience(CaptureConfig(frame_timeout_s=0.5, start_timeout_s=3.0))
+    patience.started()
+    assert not patience.silent()  # nothing came at all: that is no slowness
+    given_s = []
+    for _ in range(5):
+        patience.started()
+        patience.picture(0.2)
+        assert patience.silent()
+        given_s.append(patience.timeout_s)
+    assert given_s == [1.0, 2.0, 3.0, 3.0, 3.0]
+    for _ in range(QUICK_PICTURES - 2):  # and the one before
+        patience.picture(0.03)
+    assert patience.timeout_s == 3.0
+    patience.picture(0.03)
+    assert patience.timeout_s == 0.5
+    assert not patience.silent()  # many pictures, then silence: it hangs

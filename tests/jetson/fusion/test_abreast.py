@@ -1,0 +1,143 @@
+"""Two things abreast are one echo to the radar: when the lidar's word counts against it, and when it does not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from common.messages import Cover, LidarZone, LidarZones, Motion, RadarTrack, RadarTracks
+from common.path import PathConfig
+from services.jetson.fusion.abreast import AbreastWatch, Dated
+from services.jetson.fusion.config import RulesConfig
+from services.jetson.fusion.evidence import Abreast, FusionInputs, FusionMemory, Place, SensorInput, Sighting
+from services.jetson.fusion.verdict import fuse
+
+PATH = PathConfig()
+DRIVING = Motion(2.0)
+LIDAR_X_M, RADAR_X_M = 0.1, 0.2
+FAR_M, SECTORS = 8.0, 90
+GATE = ((3.2, 0.45), (3.2, -0.45))  # two posts, vehicle's frame; 3.03 m from the radar
+
+
+def lidar(*things: tuple[float, float]) -> LidarZones:
+    """What the lidar covers when these points, and nothing else, stand around the vehicle."""
+    far_m = [FAR_M] * SECTORS
+    for x, y in things:
+        bearing = math.atan2(y, x - LIDAR_X_M)
+        far_m[int((bearing + math.pi / 2) / math.pi * SECTORS)] = math.hypot(x - LIDAR_X_M, y)
+    cover = Cover(x_m=LIDAR_X_M, y_m=0.0, first_rad=-math.pi / 2, step_rad=math.pi / SECTORS, far_m=far_m)
+    free = LidarZone(nearest_m=None, points=0, level="SAFE")
+    return LidarZones(
+        stamp_ns=10**18, left=free, centre=free, right=free, level="SAFE", raw_level="SAFE", scan_hz=10.0, cover=cover
+    )
+
+
+def track(level: str = "IMMINENT", range_m: float = 3.0, **fields: Any) -> RadarTrack:
+    """Standing, straight ahead by its azimuth, up to 1 m beside by its speed."""
+    told: dict[str, Any] = {"track_id": 1, "azimuth_rad": 0.0, "beside_m": (0.0, 1.0), **fields}
+    return RadarTrack(
+        range_m=range_m, velocity_mps=-2.0, age_frames=9, approaching=True, moving=False, ttc_s=1.4,
+        level=level, snr_db=20.0, **told,
+    )  # fmt: skip
+
+
+def radar(*tracks: RadarTrack, stamp_ns: int = 10**18) -> RadarTracks:
+    cover = Cover(x_m=RADAR_X_M, y_m=0.0, first_rad=-0.8, step_rad=1.6, far_m=[6.0])
+    return RadarTracks(
+        stamp_ns=stamp_ns, tracks=list(tracks), level="IMMINENT", settled=True, noise_floor_db=10.0, cover=cover
+    )
+
+
+def left_over(told: RadarTracks, seen: LidarZones, motion: Motion | None = DRIVING) -> Abreast | None:
+    return AbreastWatch(PATH).set_aside(Dated(told, 0.05, seen, 0.05), motion)
+
+
+def test_two_posts_that_the_lidar_sees_are_no_alarm() -> None:
+    assert left_over(radar(track()), lidar(*GATE)) == Abreast("SAFE", (), "IMMINENT", 3.0)
+
+
+COUNTS = {
+    "nothing beside the way": (track(), lidar(), DRIVING),
+    "one post alone": (track(), lidar(GATE[0]), DRIVING),
+    "two posts on one side": (track(), lidar(GATE[0], (3.15, 0.7)), DRIVING),
+    "posts nearer than the echo": (track(), lidar((2.5, 0.45), (2.5, -0.45)), DRIVING),
+    "posts farther than the echo": (track(), lidar((4.2, 0.45), (4.2, -0.45)), DRIVING),
+    "the speed shows it nearer to the way than the posts": (track(beside_m=(0.0, 0.3)), lidar(*GATE), DRIVING),
+    "the speed shows it farther off": (track(beside_m=(0.7, 1.0)), lidar(*GATE), DRIVING),
+    "it moves, or its speed is not known": (track(beside_m=None), lidar(*GATE), DRIVING),
+    "something in the way before it": (track(), lidar(*GATE, (2.0, 0.02)), DRIVING),
+    "something in the way between the posts": (track(), lidar(*GATE, (3.2, 0.02)), DRIVING),
+    "a caution about what the lidar sees in the way": (track("CAUTION", range_m=6.0), lidar((6.2, 0.0)), DRIVING),
+    "the vehicle stands": (track(), lidar(*GATE), Motion(0.0)),
+    "the motion is unknown": (track(), lidar(*GATE), None),
+    "the lidar does not say what it covers": (
+        track(),
+        msgspec.structs.replace(lidar(*GATE), cover=None),
+        DRIVING,
+    ),
+}
+
+
+@pytest.mark.parametrize("told", COUNTS.values(), ids=COUNTS)
+def test_the_radar_counts_when(told: tuple[RadarTrack, LidarZones, Motion | None]) -> None:
+    one, seen, motion = told
+    assert left_over(radar(one), seen, motion) is None
+
+
+def test_only_the_track_between_the_posts_is_set_aside() -> None:
+    there = track("CAUTION", range_m=5.0, track_id=2)
+    rest = left_over(radar(track(), there), lidar(*GATE))
+    assert rest is not None
+    assert (rest.level, rest.aside_level) == ("CAUTION", "IMMINENT")
+    assert [one.place and one.place.x_m for one in rest.sightings] == [5.0]
+
+
+def test_each_place_is_carried_to_the_time_of_the_other() -> None:
+    """The lidar's scan is 0.3 s older than the radar's frame: the posts have come 0.6 m nearer since."""
+    seen = lidar((3.8, 0.45), (3.8, -0.45))
+    assert AbreastWatch(PATH).set_aside(Dated(radar(track()), 0.05, seen, 0.35), DRIVING) is not None
+    assert AbreastWatch(PATH).set_aside(Dated(radar(track(range_m=2.6)), 0.05, seen, 0.05), DRIVING) is None
+
+
+def test_a_scan_that_misses_a_post_ends_it_after_half_a_second() -> None:
+    watch = AbreastWatch(PATH)
+    assert watch.set_aside(Dated(radar(track()), 0.05, lidar(*GATE), 0.05), DRIVING) is not None
+    for after_ms, counts in ((100, False), (500, False), (600, True)):
+        told = radar(track(), stamp_ns=10**18 + after_ms * 10**6)
+        assert (watch.set_aside(Dated(told, 0.05, lidar(), 0.05), DRIVING) is None) == counts
+
+
+def test_a_caution_beyond_the_lidars_reach_waits_only_while_a_stop_needs_less() -> None:
+    beyond = track("CAUTION", range_m=9.0)
+    assert left_over(radar(beyond), lidar()) == Abreast("SAFE", (), "CAUTION", 9.0)
+    assert left_over(radar(track("IMMINENT", range_m=9.0)), lidar()) is None
+    assert left_over(radar(beyond), lidar(), Motion(5.0)) is None  # to stop takes 6.8 m, and 0.75 s are 3.7 m more
+
+
+def decided(abreast: Abreast | None) -> Any:
+    seen = SensorInput("online", "SAFE", 0.05)
+    alarm = SensorInput(
+        "online", "IMMINENT", 0.05, nearest_m=3.0, sightings=(Sighting("IMMINENT", Place(3.0, 0.0, 0.2)),)
+    )
+    inputs = FusionInputs(10.0, True, seen, alarm, SensorInput("online", None, 0.05))
+    return fuse(replace(inputs, abreast=abreast), FusionMemory(), RulesConfig())[0]
+
+
+def test_the_verdict_says_what_was_set_aside() -> None:
+    assert decided(None).level == "IMMINENT"
+    verdict = decided(Abreast("SAFE", (), "IMMINENT", 3.0))
+    assert (verdict.level, verdict.rule) == ("SAFE", "R10-abreast")
+    assert "IMMINENT at 3.00 m" in verdict.because
+    assert "either side" in verdict.because
+    assert not verdict.inputs["radar"].used
+
+
+def test_what_is_left_still_counts() -> None:
+    rest = Abreast("CAUTION", (Sighting("CAUTION", Place(5.0, 0.0, 0.2)),), "IMMINENT", 3.0)
+    assert (decided(rest).level, decided(rest).rule) == ("CAUTION", "R1-worst-case")
+    assert np.isfinite(decided(rest).claims[0].x_m)

@@ -1,0 +1,82 @@
+"""Who moves beside the way: bytes of the LD06 on a simulated vehicle that drives, through the service's pipeline."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from common.bus.status import Report
+from common.messages import Motion
+from services.jetson.lidar.config import LidarConfig, MountingSection
+from services.jetson.lidar.decoder import ScanDecoder
+from services.jetson.lidar.movers import Movers
+from services.jetson.lidar.pipeline import LidarPipeline
+from spotter_sim import ld06
+from spotter_sim.model import Scenario
+from spotter_sim.odometry import measure
+from spotter_tools.prove.dangers import cyclist_crossing, pedestrian_crossing
+from spotter_tools.prove.innocents import gate, oncoming, overtaken, parked_rows, pillars
+from spotter_tools.prove.places import MEETS_S
+
+CONFIG = LidarConfig(mounting=MountingSection(front_m=0.1))
+START_NS = 1_800_000_000_000_000_000
+
+
+def levels(scenario: Scenario, begin_s: float, end_s: float, *, known: bool = True) -> dict[float, str]:
+    """The level of every scan, by the time at which it ended."""
+    decoder, pipeline, said = ScanDecoder(CONFIG, Report("test")), LidarPipeline(CONFIG), {}
+    for t in np.arange(begin_s, end_s, 8 / 300):
+        odometry = measure(scenario.at(float(t)))
+        motion = Motion(odometry.speed_mps, odometry.yaw_rate_radps) if known else None
+        data = ld06.packets(scenario, float(t) - 8 / 300, float(t))
+        for scan in decoder.feed(START_NS + round(t * 1e9), float(t), data):
+            said[float(t)] = pipeline.process(scan.stamp_ns, scan, motion).level
+    return said
+
+
+@pytest.mark.parametrize(
+    ("case", "before_s"),
+    [
+        (pedestrian_crossing(1.0, "near", 50), 1.0),
+        (pedestrian_crossing(3.0, "near", 50), 1.1),
+        (pedestrian_crossing(4.0, "near", 25), 1.1),
+        (cyclist_crossing(2.0, "far"), 0.6),
+    ],
+    ids=lambda value: getattr(value, "name", value),
+)
+def test_who_will_be_in_the_way_alarms_while_still_beside_it(case, before_s):
+    said = levels(case.scenario, MEETS_S - 3.0, MEETS_S - before_s + 0.15)
+    assert "IMMINENT" in said.values()
+
+
+def test_without_known_motion_only_what_is_in_a_lane_counts():
+    said = levels(pedestrian_crossing(3.0, "near", 50).scenario, MEETS_S - 3.0, MEETS_S - 0.7, known=False)
+    assert set(said.values()) == {"SAFE"}
+
+
+@pytest.mark.parametrize(
+    "case",
+    [gate(1.0), parked_rows(2.0, 0.7), pillars(3.0), overtaken(3.0), oncoming(2.0, "cyclist")],
+    ids=lambda case: case.name,
+)
+def test_who_passes_beside_and_what_stands_does_not(case):
+    said = levels(case.scenario, MEETS_S - 4.0, MEETS_S + 0.5)
+    assert len(said) > 30
+    assert set(said.values()) == {"SAFE"}
+
+
+def test_a_gap_in_the_scans_forgets_who_was_followed():
+    case, movers = pedestrian_crossing(2.0, "near", 50), Movers(CONFIG)
+    decoder, pipeline = ScanDecoder(CONFIG, Report("test")), LidarPipeline(CONFIG)
+    pipeline._movers = movers
+    t, scans = MEETS_S - 2.5, 0
+    while t < MEETS_S - 1.6:
+        t += 8 / 300
+        for scan in decoder.feed(START_NS + round(t * 1e9), t, ld06.packets(case.scenario, t - 8 / 300, t)):
+            pipeline.process(scan.stamp_ns, scan, Motion(2.0))
+            scans += 1
+    assert scans > 5
+    assert max(mover.scans for mover in movers._movers) > 4
+    scan.stamp_ns += 2_000_000_000
+    pipeline.process(scan.stamp_ns, scan, Motion(2.0))
+    assert max(mover.scans for mover in movers._movers) == 1
