@@ -5,6 +5,7 @@ python examples/nearest_obstacle.py [ENDPOINT]
 
 from __future__ import annotations
 
+import contextlib
 import sys
 
 from spotter_client import CameraDetections, LidarZones, RadarTracks, connect
@@ -27,4 +28,5 @@ def main(endpoint: str = "tcp/127.0.0.1:7447") -> dict[str, float | None]:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    with contextlib.suppress(KeyboardInterrupt):
+        main(*sys.argv[1:2])

@@ -5,6 +5,7 @@ python examples/watch_verdict.py [ENDPOINT [SECONDS]]
 
 from __future__ import annotations
 
+import contextlib
 import sys
 
 from spotter_client import Verdict, connect
@@ -23,4 +24,5 @@ def main(endpoint: str = "tcp/127.0.0.1:7447", seconds: float = 10.0) -> list[st
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2], *[float(text) for text in sys.argv[2:3]])  # type: ignore[arg-type]
+    with contextlib.suppress(KeyboardInterrupt):
+        main(*sys.argv[1:2], *[float(text) for text in sys.argv[2:3]])  # type: ignore[arg-type]

@@ -5,6 +5,7 @@ python examples/who_is_there.py [ENDPOINT]
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from datetime import UTC, datetime
 
@@ -25,4 +26,5 @@ def main(endpoint: str = "tcp/127.0.0.1:7447") -> list[ServiceOnBus]:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    with contextlib.suppress(KeyboardInterrupt):
+        main(*sys.argv[1:2])

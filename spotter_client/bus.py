@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import warnings
 from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -11,10 +12,14 @@ from typing import Any, TypeVar, overload
 
 import zenoh
 
+from common.bus.published import why_silent
+from common.bus.session import close_session
 from common.clock import monotonic_s
 from common.codec import DecodeError, decode
 from common.messages import Message, ServiceInfo, ServiceState, ServiceStatus
 from common.topics import ANY_TOKEN, find_topic, info_key, parse_token, status_topic
+from spotter_client.recording import checked
+from spotter_client.stream import Stream
 
 M = TypeVar("M", bound=Message)
 STREAM_RING = 256  # a slow loop skips the oldest, it never delays the rest
@@ -50,7 +55,10 @@ class ServiceOnBus:
 
 
 class Bus:
-    """Typed access to what is published. ``refused`` counts payloads that were no valid message, by key."""
+    """Typed access to what is published. Owns the session: ``close()`` it, or use it in a ``with`` statement.
+
+    ``refused`` counts payloads that were no valid message, by key.
+    """
 
     def __init__(self, session: zenoh.Session) -> None:
         self.session = session
@@ -62,7 +70,12 @@ class Bus:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the bus. Closing twice does no harm."""
         self._stack.close()
+        close_session(self.session)
 
     @overload
     def latest(self, key: str, *, timeout_s: float = ...) -> Any: ...
@@ -82,14 +95,14 @@ class Bus:
         sample = self._newest[key].get(timeout_s)
         if sample is None:
             raise TimeoutError(f"nothing on {key} within {timeout_s:g} s; `spotter ls` shows who is there")
-        return _checked(_decode(sample), message_type)
+        return checked(_decode(sample), message_type)
 
     @overload
-    def stream(self, key: str, *, seconds: float | None = ..., count: int | None = ...) -> Iterator[Any]: ...
+    def stream(self, key: str, *, seconds: float | None = ..., count: int | None = ...) -> Stream[Any]: ...
     @overload
     def stream(
         self, key: str, message_type: type[M], *, seconds: float | None = ..., count: int | None = ...
-    ) -> Iterator[M]: ...
+    ) -> Stream[M]: ...
 
     def stream(
         self,
@@ -98,17 +111,20 @@ class Bus:
         *,
         seconds: float | None = None,
         count: int | None = None,
-    ) -> Iterator[Any]:
+    ) -> Stream[Any]:
         """Messages as they come, for ever, for so many ``seconds`` or until there were ``count``.
 
         ``key`` may be an expression such as ``"*/fusion/verdict"`` or ``"jetson0/**"``. Undecodable payloads are
-        counted in ``refused`` and skipped.
+        counted in ``refused`` and skipped. ``stream(...).to_pandas()`` and ``to_polars()`` make a table of them.
         """
-        for received in self.arrivals(key, seconds=seconds, count=count):
-            yield _checked(received.message, message_type)
+        arrivals = self.arrivals(key, seconds=seconds, count=count)
+        return Stream((one.key, checked(one.message, message_type)) for one in arrivals)
 
     def arrivals(self, key: str, *, seconds: float | None = None, count: int | None = None) -> Iterator[Received]:
-        """Like ``stream``, with the key and the time of arrival of every message."""
+        """Like ``stream``, with the key and the time of arrival of every message.
+
+        Warns (``UserWarning``) when it ends without a single one, and names the nearest key that is published.
+        """
         end_s = None if seconds is None else monotonic_s() + seconds
         inbox = _Inbox()
         subscriber = self.session.declare_subscriber(key, inbox.put)
@@ -120,8 +136,14 @@ class Bus:
                 if received is not None:
                     given += 1
                     yield received
+            if not given and count != 0:
+                self._warn_of_silence(key, seconds)
         finally:
             subscriber.undeclare()
+
+    def _warn_of_silence(self, key: str, seconds: float | None) -> None:
+        reason = why_silent(self.session, key) or f"nothing came on {key} within {seconds:g} s"
+        warnings.warn(reason, stacklevel=3)
 
     @overload
     def query(self, key: str, *, timeout_s: float = ...) -> list[Any]: ...
@@ -136,7 +158,7 @@ class Bus:
             if reply.ok is None:
                 continue
             try:
-                answers.append(_checked(_decode(reply.ok), message_type))
+                answers.append(checked(_decode(reply.ok), message_type))
             except DecodeError:
                 self.refused[str(reply.ok.key_expr)] += 1
         return answers
@@ -209,9 +231,3 @@ def _decode(sample: zenoh.Sample) -> Message:
     if topic is None:
         raise DecodeError(f"{key}: no topic of ours")
     return decode(payload, topic.message, topic.max_bytes)
-
-
-def _checked(message: Message, message_type: type[Message] | None) -> Message:
-    if message_type is not None and not isinstance(message, message_type):
-        raise TypeError(f"expected {message_type.__name__}, this key carries {type(message).__name__}")
-    return message

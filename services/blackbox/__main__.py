@@ -8,15 +8,15 @@ import logging
 import queue
 from pathlib import Path
 
+from common.bus.runtime import Service
+from common.bus.service_app import service_app
 from common.clock import utc_ns
 from common.config import config_hash
-from common.launch import service_app
 from common.recording.services import who_speaks
-from common.runtime import Service
-from services.blackbox.capsule import keep_newest, write_capsule
+from services.blackbox.capsule import HostClock, keep_newest, write_capsule
 from services.blackbox.clock import FusionClock
 from services.blackbox.config import BlackboxConfig
-from services.blackbox.pipeline import BlackboxPipeline
+from services.blackbox.pipeline import BlackboxPipeline, Saved
 from services.blackbox.server import CapsuleServer
 from services.blackbox.source import BusTap
 
@@ -24,6 +24,7 @@ log = logging.getLogger("blackbox")
 
 
 def run(config: BlackboxConfig) -> bool:
+    """Keep the last seconds of this host until the process ends; False if not closed cleanly."""
     pipeline, folder = BlackboxPipeline(config), Path(config.folder)
     about = {"spotter": {"version": importlib.metadata.version("spotter"), "config_hash": config_hash(config)}}
     with Service("blackbox", config) as service:
@@ -33,21 +34,39 @@ def run(config: BlackboxConfig) -> bool:
             service.report.beat()  # it publishes nothing: going round is all the proof of life there is
             now_ns = utc_ns()
             with contextlib.suppress(queue.Empty):
-                pipeline.save(now_ns, server.wishes.get_nowait())
+                request = server.requests.get_nowait()
+                server.answer(request, pipeline.save(now_ns, request.incident))
             saved = pipeline.process(now_ns, kept)
             if saved is not None:
                 spoke = about | who_speaks(service.session, config.host)
-                path = write_capsule(folder, config.host, saved.incident, saved.kept, spoke, clock.now())
-                keep_newest(folder, config.keep_incidents)
-                service.report.count("incidents")
-                log.info("%s: %s", path, saved.incident.why)
+                keep(service, config, saved, spoke, clock.now())
     return service.closed_cleanly
+
+
+def keep(
+    service: Service, config: BlackboxConfig, saved: Saved, about: dict[str, dict[str, str]], clock: HostClock
+) -> None:
+    """Write the capsule. A disk that takes no more costs this incident; the next is tried all the same."""
+    folder, incident = Path(config.folder), saved.incident
+    try:
+        path = write_capsule(folder, config.host, incident, saved.kept, about, clock)
+        keep_newest(folder, config.keep_incidents)
+    except OSError as error:
+        said = f"{incident.name} was not kept: {folder}: {error.strerror or error}"
+        log.error("%s (%s)", said, incident.why)
+        service.report.count("incidents lost")
+        service.report.state("degraded", said)
+        return
+    service.report.count("incidents")
+    service.report.state("online")
+    log.info("%s: %s", path, incident.why)
 
 
 app = service_app("blackbox", BlackboxConfig, run, __doc__)
 
 
 def main() -> None:
+    """The console command ``spotter-blackbox``."""
     app()
 
 

@@ -46,18 +46,25 @@ def write_capsule(
     """Write ``<folder>/<incident>/<host>.mcap``, under another name until it is complete.
 
     ``about``: further metadata, by name: who spoke, with which version and configuration.
+
+    Raises:
+        OSError: the folder or the disk takes no file; nothing of it is left.
     """
     target = folder / incident.name / f"{host}.mcap"
     target.parent.mkdir(parents=True, exist_ok=True)
     unfinished = target.with_suffix(".part")
     unfinished.unlink(missing_ok=True)
     metadata = {"incident": {"name": incident.name, "why": incident.why, "at_ns": str(incident.at_ns), "host": host}}
-    with RecordingFile(unfinished, {**metadata, **about, "clock": {"json": json.dumps(vars(clock))}}) as file:
-        for one in kept:
-            topic = find_topic(one.key)
-            if topic is not None:
-                _add(file, Recorded(one.key, one.payload, one.log_ns))
-    unfinished.replace(target)
+    try:
+        with RecordingFile(unfinished, {**metadata, **about, "clock": {"json": json.dumps(vars(clock))}}) as file:
+            for one in kept:
+                topic = find_topic(one.key)
+                if topic is not None:
+                    _add(file, Recorded(one.key, one.payload, one.log_ns))
+        unfinished.replace(target)
+    except OSError:
+        unfinished.unlink(missing_ok=True)  # half a capsule would only fill the disk further
+        raise
     return target
 
 

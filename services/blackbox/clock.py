@@ -6,8 +6,8 @@ import threading
 
 import zenoh
 
+from common.bus.runtime import Service
 from common.clock import monotonic_s
-from common.runtime import Service
 from services.blackbox.capsule import HostClock
 from services.jetson.fusion.clocks import ClockSample, ClockWatch
 from services.jetson.fusion.config import ClocksConfig

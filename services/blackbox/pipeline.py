@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from common.codec import DecodeError, decode
 from common.topics import FUSION_HEALTH, FUSION_VERDICT, Topic
@@ -48,10 +48,13 @@ class BlackboxPipeline:
         (incident, at_ns), self._open = self._open, None
         return Saved(incident, self._ring.window(at_ns - self._before_ns, at_ns + self._after_ns))
 
-    def save(self, now_ns: int, incident: Incident) -> None:
-        """A person asks for it; an incident that is open already goes on."""
-        if self._open is None:
-            self._open = (incident, now_ns)
+    def save(self, now_ns: int, incident: Incident) -> Incident:
+        """A person asks for it. An incident that is open already goes on, with these words added; returns it."""
+        opened, since_ns = self._open or (incident, now_ns)
+        if opened is not incident:
+            opened = replace(opened, why=f"{opened.why}; {incident.why}")
+        self._open = (opened, since_ns)
+        return opened
 
     def _look(self, kept: Kept) -> Incident | None:
         topic = self._triggers.get(kept.key)

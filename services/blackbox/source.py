@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator
 
 import zenoh
 
+from common.bus.runtime import Service
 from common.clock import utc_ns
-from common.runtime import Service
 from common.topics import DATA_TOPICS, FUSION_HEALTH, FUSION_VERDICT
 from services.blackbox.config import BlackboxConfig
 from services.blackbox.ring import Kept

@@ -63,5 +63,5 @@ class Trigger:
         if not changed or not self._config.on_health_change:
             return None
         name = changed[0]
-        why = f"{name} {states[name]}: {system.sensors[name].reason}"
+        why = f"{name} {states[name]}: {system.sensors[name].reason}".removesuffix(": ")  # online needs no reason
         return Incident(incident_name(system.stamp_ns, f"{name}-{states[name]}"), system.stamp_ns, why)

@@ -8,14 +8,17 @@ from __future__ import annotations
 import msgspec
 import typer
 
-from common.launch import service_app
+from common.bus.ego import EgoWatch
+from common.bus.look import add_look
+from common.bus.raw_tap import RawTap
+from common.bus.runtime import Service
+from common.bus.service_app import service_app
 from common.messages import EgoMotion
-from common.raw import RawTap
-from common.runtime import Service
-from common.topics import EGO_MOTION, RADAR_DETECTIONS, RADAR_RAW, RADAR_TRACKS
+from common.topics import EGO_MOTION, RADAR_DETECTIONS, RADAR_MOTION, RADAR_RAW, RADAR_TRACKS
 from services.radar_pi.config import RadarConfig
+from services.radar_pi.look import looks
 from services.radar_pi.pipeline import RadarPipeline
-from services.radar_pi.source import EgoSpeed, open_source, with_waveform_of_source
+from services.radar_pi.source import open_source, with_waveform_of_source
 from services.radar_pi.tools import add_tools
 
 
@@ -25,25 +28,29 @@ def run(config: RadarConfig) -> bool:
     pipeline = RadarPipeline(config)
     with Service("radar", config) as service:
         publish_tracks = service.publisher(RADAR_TRACKS)
+        publish_motion = service.publisher(RADAR_MOTION)
         publish_detections = service.publisher(RADAR_DETECTIONS)
-        ego = EgoSpeed(service.latest(EGO_MOTION, EgoMotion, "*"))
+        ego = EgoWatch(service.latest(EGO_MOTION, EgoMotion, config.ego_host), config.path)
         raw = RawTap(service.publisher(RADAR_RAW), fitted={"waveform": msgspec.to_builtins(config.waveform)})
         for frame in open_source(config, service.report):
-            speed_mps = frame.ego_mps if config.source.startswith("mcap:") else ego.now_mps()
-            tracks = pipeline.process(frame.stamp_ns, frame.samples, speed_mps, frame.epoch, frame.note)
+            motion = frame.motion if config.source.startswith("mcap:") else ego.now()
+            tracks = pipeline.process(frame.stamp_ns, frame.samples, motion, frame.epoch, frame.note)
             tracks.received_ns = frame.received_ns
             publish_tracks(tracks)
+            if config.own_speed.enabled:
+                publish_motion(pipeline.motion())
             if publish_detections.wanted:
                 publish_detections(pipeline.detections())
             raw(
                 "bgt60", frame.stamp_ns, frame.samples, frame.received_ns, frame.epoch,
-                note=frame.note, speed_mps=speed_mps,
+                note=frame.note, motion=motion,
             )  # fmt: skip
     return service.closed_cleanly
 
 
 app: typer.Typer = service_app("radar", RadarConfig, run, __doc__)
 add_tools(app)
+add_look(app, RadarConfig, looks)
 
 
 def main() -> None:

@@ -1,7 +1,8 @@
-"""What a track means: one exhaustive classification, inclusive in range, by time to collision and distance.
+"""What a track means by the article's rules: one exhaustive classification, inclusive in range.
 
-Relative closing counts, so that while the vehicle drives standing obstacles ahead alarm too. A track that does not
-approach never alarms, but for one that has just come close and stopped.
+They hold while the vehicle stands, reverses, or nobody knows how it moves (``way.py`` decides while it drives).
+Relative closing counts. A track that does not approach never alarms, except that very close at near-zero velocity is
+flagged regardless of how it came there.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ def approached_s_ago(track: Track, stamp_ns: int) -> float | None:
     return None if track.last_approach_ns is None else max(0.0, (stamp_ns - track.last_approach_ns) * 1e-9)
 
 
-def alarm_level(track: Track, ttc_s: float | None, ago_s: float | None, alarm: AlarmConfig, slow_mps: float) -> Level:
+def alarm_level(track: Track, ttc_s: float | None, alarm: AlarmConfig, slow_mps: float) -> Level:
     """The level of one confirmed track."""
     if track.approaching:
         if (ttc_s is not None and ttc_s < alarm.imminent_ttc_s) or track.range_m <= alarm.imminent_range_m:
@@ -33,10 +34,8 @@ def alarm_level(track: Track, ttc_s: float | None, ago_s: float | None, alarm: A
         if (ttc_s is not None and ttc_s < alarm.caution_ttc_s) or track.range_m <= alarm.caution_range_m:
             return "CAUTION"
         return "SAFE"
-    stopped_near = abs(track.velocity_mps) < slow_mps and track.range_m <= alarm.imminent_range_m
-    if stopped_near and ago_s is not None and ago_s <= alarm.stopped_near_s:
-        return "CAUTION"
-    return "SAFE"
+    very_close = abs(track.velocity_mps) < slow_mps and track.range_m <= alarm.imminent_range_m
+    return "CAUTION" if very_close and alarm.flag_very_close else "SAFE"
 
 
 def is_moving(track: Track, ego_speed_mps: float | None, tracking: TrackingConfig) -> bool:

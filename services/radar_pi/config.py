@@ -6,12 +6,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
 from common.config import Section, ServiceConfig
+from common.path import Mount, PathConfig
 
 Positive = Annotated[float, Meta(gt=0.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
@@ -61,7 +63,7 @@ class SpiConfig(Section, frozen=True, kw_only=True):
     speed_hz: Annotated[int, Meta(ge=100_000, le=50_000_000)] = 50_000_000
     reset_gpio: int = 12  # active low
     irq_gpio: int = 25  # rising edge
-    gpio_chip: str = "/dev/gpiochip0"
+    gpio_chip: str = "auto"  # the header's, by its label; or a path
 
 
 class ProcessingConfig(Section, frozen=True, kw_only=True):
@@ -113,6 +115,13 @@ class AzimuthConfig(Section, frozen=True, kw_only=True):
     spacing_m: Positive = 2.5e-3
     phase_offset_rad: float = 0.0  # measured on a boresight target, subtracted
     field_of_view_rad: Annotated[float, Meta(gt=0.0, le=1.58)] = 0.96  # farther off boresight is dropped
+    upper_rx: Annotated[int, Meta(ge=1, le=3)] = 2  # above right_rx: tells how high an echo is
+    upper_phase_offset_rad: float = 0.0  # as phase_offset_rad, for the upright pair
+
+    @property
+    def upright(self) -> AzimuthConfig:
+        """The upright pair: what is above counts as left."""
+        return msgspec.structs.replace(self, left_rx=self.upper_rx, phase_offset_rad=self.upper_phase_offset_rad)
 
 
 class TrackingConfig(Section, frozen=True, kw_only=True):
@@ -129,6 +138,8 @@ class TrackingConfig(Section, frozen=True, kw_only=True):
     approach_frames: Annotated[int, Meta(ge=1, le=50)] = 3
     moving_mps: Positive = 0.15  # slower is standing
     max_speed_mps: Positive = 6.0  # beyond v_max a speed is told from its alias by the range, up to this one
+    alias_margin: NotNegative = 9.0  # so much less squared distance in all has the true one: 3 sigma
+    alias_frames: Annotated[int, Meta(ge=1, le=100)] = 10  # undecided for so long: the speed as it was measured
 
 
 class AlarmConfig(Section, frozen=True, kw_only=True):
@@ -138,7 +149,39 @@ class AlarmConfig(Section, frozen=True, kw_only=True):
     imminent_range_m: Positive = 0.5
     caution_ttc_s: Positive = 3.0
     caution_range_m: Positive = 1.2
-    stopped_near_s: NotNegative = 2.0  # "came close and stopped" stays CAUTION this long; 0 switches it off
+    flag_very_close: bool = True  # within imminent_range_m at near-zero velocity: CAUTION, however it came there
+
+
+class MountingConfig(Section, frozen=True, kw_only=True):
+    """Where the radar sits in the vehicle's frame (x forward, y left, from the origin of ``[path]``)."""
+
+    x_m: Annotated[float, Meta(ge=-10.0, le=10.0)] = 0.20
+    y_m: Annotated[float, Meta(ge=-10.0, le=10.0)] = 0.0
+    yaw_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] = 0.0
+
+    @property
+    def mount(self) -> Mount:
+        return Mount(self.x_m, self.y_m, math.radians(self.yaw_deg))
+
+
+class PathAlarmConfig(Section, frozen=True, kw_only=True):
+    """How tracks are held against the way ahead while the vehicle drives and its motion is known."""
+
+    sigmas: Annotated[float, Meta(ge=0.0, le=5.0)] = 1.0  # of the track's uncertainty that widen the way
+    widest_m: Positive = 0.5  # ... by this much at the most
+    horizon_s: Annotated[float, Meta(ge=0.5, le=10.0)] = 4.0  # a contact later than this is none
+    curve_lead_s: NotNegative = 0.3  # CAUTION so long before IMMINENT for what lies on the curve, not straight ahead
+    way_frames: Annotated[int, Meta(ge=1, le=50)] = 3  # in a row decide whether a track meets the way
+    speed_tolerance: Annotated[float, Meta(gt=0.0, le=0.5)] = 0.01  # standard deviation of the speedometer's error
+    doppler_mps: Positive = 0.005  # standard deviation of a standing track's speed
+    certain_sigmas: Annotated[float, Meta(ge=0.0, le=10.0)] = 2.5  # its speed shows it beside: no IMMINENT
+    likely_sigmas: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.5  # so much less sure: no CAUTION either
+    sideways_mps: Positive = 0.5  # standard deviation of a new track's speed across the line of sight
+    acceleration_mps2: Positive = 1.5  # of what moves, over ground
+    cover_far_m: NotNegative = 6.0  # up to here a standing obstacle in the way is seen for certain
+    cover_half_rad: Annotated[float, Meta(ge=0.0, le=1.58)] = (
+        0.79  # and so far to either side: the antenna's 45 degrees
+    )
 
 
 class HealthConfig(Section, frozen=True, kw_only=True):
@@ -148,17 +191,33 @@ class HealthConfig(Section, frozen=True, kw_only=True):
     hold_frames: Annotated[int, Meta(ge=1, le=1000)] = 10  # a deviation has to last this long
     noise_db: Positive = 6.0  # limit: noise floor off its learned value
     clutter_db: Positive = 8.0  # limit: static clutter at the antenna off its learned value
+    interference_db: Positive = 9.0  # limit: strong chirps of a frame above weak ones
     noise_floor_db: float | None = None  # a known noise floor, instead of learning it after every start
     leakage_db: float | None = None  # a known clutter at the antenna
     saturated_fraction: Probability = 0.01  # samples at the ADC's limits in one frame ...
     saturated_frames: Annotated[int, Meta(ge=1, le=1000)] = 30  # ... for so long; a near car does it for a moment
 
 
+class OwnSpeedConfig(Section, frozen=True, kw_only=True):
+    """The vehicle's own speed from standing echoes."""
+
+    enabled: bool = True
+    leakage_range_m: Annotated[float, Meta(ge=0.0, le=10.0)] = 1.0  # nearer, the vehicle's own parts and leakage stand
+    min_still_bins: Annotated[int, Meta(ge=1, le=200)] = 5  # range bins that keep their phase: the vehicle stands
+    frames: Annotated[int, Meta(ge=1, le=20)] = 5  # whose detections are put together
+    min_echoes: Annotated[int, Meta(ge=2, le=50)] = 4  # that agree
+    min_share: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.6  # of the echoes that have to agree
+    min_spread_rad: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.35  # between the directions of those that agree
+    tolerance_bins: Annotated[float, Meta(gt=0.0, le=10.0)] = 1.5  # of velocity
+    acceleration_mps2: Annotated[float, Meta(ge=0.0, le=50.0)] = 2.0  # how far older frames may be wrong by now
+
+
 class RadarConfig(ServiceConfig, frozen=True, kw_only=True):
     """Everything; ``RadarConfig()`` is the shipped default."""
 
     host: Annotated[str, Meta(pattern=r"^[a-z0-9_]+$")] = "pi0"
-    source: str = "sim:crossing"
+    source: str = ""
+    ego_host: Annotated[str, Meta(pattern=r"^[a-z0-9_]+$")] = "jetson0"  # whose ego/motion is this vehicle's
     waveform: WaveformConfig = msgspec.field(default_factory=WaveformConfig)
     spi: SpiConfig = msgspec.field(default_factory=SpiConfig)
     processing: ProcessingConfig = msgspec.field(default_factory=ProcessingConfig)
@@ -167,4 +226,8 @@ class RadarConfig(ServiceConfig, frozen=True, kw_only=True):
     azimuth: AzimuthConfig = msgspec.field(default_factory=AzimuthConfig)
     tracking: TrackingConfig = msgspec.field(default_factory=TrackingConfig)
     alarm: AlarmConfig = msgspec.field(default_factory=AlarmConfig)
+    mounting: MountingConfig = msgspec.field(default_factory=MountingConfig)
+    path: PathConfig = msgspec.field(default_factory=PathConfig)
+    on_path: PathAlarmConfig = msgspec.field(default_factory=PathAlarmConfig)
     health: HealthConfig = msgspec.field(default_factory=HealthConfig)
+    own_speed: OwnSpeedConfig = msgspec.field(default_factory=OwnSpeedConfig)

@@ -6,7 +6,8 @@ the body and takes the weaker peaks around it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,19 @@ class Peaks:
     power_db: np.ndarray
     snr_db: np.ndarray
 
+    def take(self, keep: np.ndarray) -> Peaks:
+        """Those where ``keep`` (N,) bool says so."""
+        return Peaks(*(getattr(self, field.name)[keep] for field in fields(self)))
+
+
+@dataclass(frozen=True)
+class Echo:
+    """A body's strongest peak, all of the same place: a detection takes its range from the nearest part."""
+
+    range_m: float
+    velocity_mps: float
+    elevation_rad: float | None = None  # None = not to tell
+
 
 @dataclass(frozen=True)
 class Detection:
@@ -36,6 +50,16 @@ class Detection:
     velocity_mps: float  # closing is negative
     azimuth_rad: float | None
     snr_db: float
+    strongest: Echo | None = None
+
+
+class Measured(NamedTuple):
+    """What was measured of each peak, (N,) each; NaN = not to tell."""
+
+    range_m: np.ndarray
+    velocity_mps: np.ndarray
+    azimuth_rad: np.ndarray
+    elevation_rad: np.ndarray
 
 
 def find_peaks(power: np.ndarray, hits: Hits, first_row: int, limit: int) -> Peaks:
@@ -66,20 +90,14 @@ def find_peaks(power: np.ndarray, hits: Hits, first_row: int, limit: int) -> Pea
     )
 
 
-def group(
-    peaks: Peaks,
-    range_m: np.ndarray,
-    velocity_mps: np.ndarray,
-    azimuth_rad: np.ndarray,
-    v_max_mps: float,
-    config: DetectionConfig,
-) -> list[Detection]:
-    """One detection per body, nearest first; the arrays hold each peak's measured values, strongest first.
+def group(peaks: Peaks, measured: Measured, v_max_mps: float, config: DetectionConfig) -> list[Detection]:
+    """One detection per body, nearest first; ``measured`` holds each peak's values, strongest first.
 
     Velocity and direction are those of the strongest peak (the trunk), range is that of the nearest strong part: when
     a foot touches a low radar, the trunk is still a metre away. Moving peaks choose first: a moving body takes what
     stands near it, but what stands (clutter that the body shadows, for example) never takes a moving body.
     """
+    range_m, velocity_mps, azimuth_rad, elevation_rad = measured
     known_rad = np.where(np.isnan(azimuth_rad), 0.0, azimuth_rad)
     moving = np.abs(velocity_mps) >= config.moving_mps
     free = np.argsort(~moving, kind="stable")  # what belongs to no body yet: the moving ones, then the others
@@ -95,13 +113,19 @@ def group(
         )
         part = others[body & (moving[others] == moving[i]) & (below_db <= config.part_db)]
         nearest_m = min(float(range_m[i]), float(range_m[part].min(initial=np.inf)))
-        azimuth = None if np.isnan(azimuth_rad[i]) else float(azimuth_rad[i])
-        bodies.append(Detection(nearest_m, float(velocity_mps[i]), azimuth, float(peaks.snr_db[i])))
+        strongest = Echo(float(range_m[i]), float(velocity_mps[i]), _known(elevation_rad[i]))
+        bodies.append(
+            Detection(nearest_m, strongest.velocity_mps, _known(azimuth_rad[i]), float(peaks.snr_db[i]), strongest)
+        )
         beside = (
             np.minimum(np.abs(peaks.row[others] - peaks.row[i]), np.abs(peaks.column[others] - peaks.column[i])) <= 1
         )
         free = others[~(body | (beside & (below_db > config.sidelobe_db)))]
     return _join_long(bodies, config)
+
+
+def _known(angle_rad: float) -> float | None:
+    return None if np.isnan(angle_rad) else float(angle_rad)
 
 
 def _join_long(bodies: list[Detection], config: DetectionConfig) -> list[Detection]:

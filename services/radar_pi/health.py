@@ -2,7 +2,8 @@
 
 The transmitter always leaks into the receivers: the first range bins hold a strong echo that no scene changes. When it
 falls, transmitter or receiver is gone or detuned; when it rises, something covers the antenna. The noise floor falls
-with the receiver's gain and rises with interference.
+with the receiver's gain and rises with interference. Interference that is there from the start would be learned with
+it, so it is also told by itself: another radar hits some chirps of a frame and not others, a body reflects all alike.
 """
 
 from __future__ import annotations
@@ -19,8 +20,20 @@ ADC_MAX = 4095
 
 @dataclass(frozen=True)
 class Health:
+    """The radar's own report: its state, and why."""
+
     state: SelfReport
     reason: str
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What one frame tells of the receiver."""
+
+    saturated: float  # share of samples at the converter's limits
+    noise_floor_db: float
+    leakage_db: float  # static clutter at the antenna
+    chirp_spread_db: float = 0.0  # the strong chirps of the frame above the weak ones
 
 
 def saturated_fraction(frame: np.ndarray) -> float:
@@ -28,6 +41,17 @@ def saturated_fraction(frame: np.ndarray) -> float:
     if frame.min() > 0 and frame.max() < ADC_MAX:  # as always, and soon told
         return 0.0
     return float(np.count_nonzero((frame == 0) | (frame >= ADC_MAX)) / frame.size)
+
+
+def chirp_spread_db(moving: np.ndarray) -> float:
+    """How far the chirps of a frame differ in power: 90th over 10th percentile, in dB.
+
+    Args:
+        moving: (rx, chirp, bin) complex, without the standing background.
+    """
+    power = np.einsum("rcb,rcb->c", moving.real, moving.real) + np.einsum("rcb,rcb->c", moving.imag, moving.imag)
+    low, high = np.percentile(power, [10, 90])
+    return float(10 * np.log10(max(float(high), 1e-12) / max(float(low), 1e-12)))
 
 
 class Learned:
@@ -69,18 +93,20 @@ class HealthMonitor:
         self._config = config
         self._noise = Learned(config.noise_floor_db, config.learn_frames, config.noise_db, config.hold_frames)
         self._leakage = Learned(config.leakage_db, config.learn_frames, config.clutter_db, config.hold_frames)
+        self._spread = Learned(0.0, config.learn_frames, config.interference_db, config.hold_frames)
         self._saturated = 0
 
-    def judge(
-        self, settled: bool, saturated: float, noise_floor_db: float, leakage_db: float, note: str = ""
-    ) -> Health:
+    def judge(self, settled: bool, signals: Signals, note: str = "") -> Health:
         """State and reason of this frame. While settling nothing is learned. ``note`` is the driver's."""
-        self._saturated = self._saturated + 1 if saturated > self._config.saturated_fraction else 0
+        self._saturated = self._saturated + 1 if signals.saturated > self._config.saturated_fraction else 0
         reasons = [note] if note else []
         if not settled:
             reasons.append("settling: the background is not learned yet")
         else:
-            reasons += self._off_learned(noise_floor_db, leakage_db)
+            reasons += self._off_learned(signals.noise_floor_db, signals.leakage_db)
+        spread_db = self._spread.deviation_db(signals.chirp_spread_db)
+        if spread_db is not None:
+            reasons.append(f"interference: chirps of one frame differ by {spread_db:.0f} dB; another radar near by?")
         if self._saturated >= self._config.saturated_frames:
             reasons.append("saturated: samples at the converter's limits; something large is near, or lower if_gain_db")
         return Health("degraded" if reasons else "online", "; ".join(reasons))

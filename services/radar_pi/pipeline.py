@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from common.messages import RadarDetection, RadarDetections, RadarTrack, RadarTracks, worst
+from common.messages import Cover, EgoMotion, Motion, RadarDetection, RadarDetections, RadarTrack, RadarTracks, worst
 from common.stopwatch import Stopwatch
 from services.radar_pi.alarm import alarm_level, approached_s_ago, is_moving, static_level, time_to_collision_s
 from services.radar_pi.axes import derive_axes
@@ -18,11 +18,13 @@ from services.radar_pi.azimuth import PairAzimuth
 from services.radar_pi.cfar import build_cfar
 from services.radar_pi.clutter import Clutter
 from services.radar_pi.config import RadarConfig
-from services.radar_pi.detection import Detection, find_peaks, group
-from services.radar_pi.health import Health, HealthMonitor, saturated_fraction
+from services.radar_pi.detection import Detection, Measured, Peaks, find_peaks, group
+from services.radar_pi.health import Health, HealthMonitor, Signals, chirp_spread_db, saturated_fraction
 from services.radar_pi.noise import RowNoise, noise_floor_db
+from services.radar_pi.own_speed import OwnMotion, OwnSpeed
 from services.radar_pi.spectrum import RangeDoppler, mean_power
 from services.radar_pi.tracking import Track, Tracker
+from services.radar_pi.way import Way
 
 FRAME_ID = "radar"
 GAP_PERIODS = 5
@@ -37,12 +39,17 @@ class RadarPipeline:
         receivers = config.waveform.rx
         processing = config.processing
         self.transform = RangeDoppler(config.waveform, processing.window, axes.far_bin)
-        self.clutter = Clutter(processing.mti_memory, processing.settling_frames, subtract=processing.mti)
+        body_bins = math.ceil(config.detection.body_range_m / axes.range_bin_m)
+        self.clutter = Clutter(processing.mti_memory, processing.settling_frames, body_bins, subtract=processing.mti)
         self.cfar = build_cfar(config.cfar, axes.far_bin - axes.near_bin, config.waveform.chirps, len(receivers))
         self.row_noise = RowNoise(config.waveform.chirps, len(receivers))
         self.azimuth = PairAzimuth(config.azimuth, receivers, axes.wavelength_m)
+        self.elevation = PairAzimuth(config.azimuth.upright, receivers, axes.wavelength_m)
         self.tracker = Tracker(config.tracking, config.detection, axes.v_max_mps, axes.range_lead_s)
+        self.way = Way(config)
         self.health = HealthMonitor(config.health)
+        self.own_speed = OwnSpeed(config.own_speed, axes, config.waveform.frame_period_s)
+        self.own_motion: OwnMotion | None = None
         self._stamp_ns: int | None = None
         self._epoch = 0
         self._power: np.ndarray | None = None
@@ -50,14 +57,14 @@ class RadarPipeline:
         self._result: RadarTracks | None = None
 
     def process(
-        self, stamp_ns: int, frame: np.ndarray, ego_speed_mps: float | None = None, epoch: int = 0, note: str = ""
+        self, stamp_ns: int, frame: np.ndarray, motion: Motion | None = None, epoch: int = 0, note: str = ""
     ) -> RadarTracks:
         """One frame of ADC samples to the tracks of that moment.
 
         Args:
             stamp_ns: UTC ns of the frame's first chirp.
             frame: (rx, chirp, sample) 12-bit ADC samples.
-            ego_speed_mps: forward speed of the vehicle, None = unknown.
+            motion: how the vehicle moves, None = unknown.
             epoch: rises whenever the chip was restarted; what was learned before is void then.
             note: what the driver says is wrong with the link although frames arrive.
 
@@ -77,15 +84,21 @@ class RadarPipeline:
         # 4. cells above the noise around them, grouped to bodies with range, velocity and azimuth
         row_noise = self.row_noise.estimate(power[self.axes.near_bin :])
         detections = self._detect(power, row_noise, spectrum)
+        if self.config.own_speed.enabled:
+            self.own_motion = self.own_speed.update(profiles, detections)
         watch.lap("detect")
         # 5. tracks over time
         tracks = self.tracker.update(stamp_ns, detections)
+        self.way.update(stamp_ns, self.tracker.tracks, motion)
         # 6. can the radar see at all?
         floor_db = noise_floor_db(row_noise)
-        health = self.health.judge(self.clutter.settled, saturated_fraction(frame), floor_db, self._leakage_db(), note)
+        signals = Signals(
+            saturated_fraction(frame), floor_db, self._leakage_db(), chirp_spread_db(moving[:, :, self.axes.near_bin :])
+        )
+        health = self.health.judge(self.clutter.settled, signals, note)
         # 7. what each track means
         self._power, self._detections = power, detections
-        self._result = self._message(stamp_ns, tracks, ego_speed_mps, health, floor_db)
+        self._result = self._message(stamp_ns, tracks, motion, health, floor_db)
         watch.lap("track")
         self._result.stage_ms = watch.stage_ms
         return self._result
@@ -115,6 +128,26 @@ class RadarPipeline:
             velocity_axis_mps=self.axes.velocity_mps.astype(np.float32),
         )
 
+    def motion(self) -> EgoMotion:
+        """The vehicle's own speed by the last frame's standing echoes, unknown (None) when there were too few.
+
+        Raises:
+            RuntimeError: no frame has been processed yet.
+        """
+        if self._result is None:
+            raise RuntimeError("no radar frame has been processed yet")
+        own = self.own_motion
+        return EgoMotion(
+            stamp_ns=self._result.stamp_ns,
+            frame_id=FRAME_ID,
+            received_ns=self._result.received_ns,
+            reason="" if own else "too few standing echoes",
+            speed_mps=own.speed_mps if own else None,
+            speed_sigma_mps=own.sigma_mps if own else None,
+            yaw_rate_radps=None,
+            speed_origin="radar" if own else "",
+        )
+
     def _reset_after_restart(self, stamp_ns: int, epoch: int) -> None:
         """After a restart or a long gap the echo's phase has changed, and with it the background.
 
@@ -124,6 +157,7 @@ class RadarPipeline:
         gap = self._stamp_ns is not None and not 0 <= stamp_ns - self._stamp_ns <= limit_ns
         if gap or epoch != self._epoch:
             self.clutter.reset()
+            self.own_speed.reset()
         if gap:
             self.tracker.tracks.clear()
         self._stamp_ns, self._epoch = stamp_ns, epoch
@@ -134,11 +168,21 @@ class RadarPipeline:
         hits = self.cfar.detect(power[axes.near_bin :], row_noise).shifted(axes.near_bin)
         peaks = find_peaks(power, hits, axes.near_bin, 4 * config.max_detections)
         velocity_mps = (peaks.column_exact - len(axes.velocity_mps) // 2) * axes.velocity_bin_mps
+        gone = self._has_gone(peaks, velocity_mps)
+        peaks, velocity_mps = peaks.take(~gone), velocity_mps[~gone]
         range_m = axes.to_range_m(peaks.row_exact, velocity_mps)
         azimuth_rad = self.azimuth.measure(spectrum, peaks.row, peaks.column)
-        bodies = group(peaks, range_m, velocity_mps, azimuth_rad, axes.v_max_mps, config)
+        elevation_rad = self.elevation.measure(spectrum, peaks.row, peaks.column)
+        measured = Measured(range_m, velocity_mps, azimuth_rad, elevation_rad)
+        bodies = group(peaks, measured, axes.v_max_mps, config)
         limit_rad = self.config.azimuth.field_of_view_rad
         return [body for body in bodies if body.azimuth_rad is None or abs(body.azimuth_rad) <= limit_rad]
+
+    def _has_gone(self, peaks: Peaks, velocity_mps: np.ndarray) -> np.ndarray:
+        """(N,) bool: standing peaks where a standing echo has fallen: somebody who stood there has left."""
+        standing = np.abs(velocity_mps) < self.config.detection.moving_mps
+        fallen = self.clutter.fallen
+        return standing if fallen is None else standing & fallen[peaks.row]
 
     def _leakage_db(self) -> float:
         """Static power in the bins nearer than anything that is looked at: transmitter leakage, window, cover."""
@@ -149,10 +193,12 @@ class RadarPipeline:
         return 10 * math.log10(max(float(np.vdot(near, near).real) / near.size, 1e-12))
 
     def _message(
-        self, stamp_ns: int, tracks: list[Track], ego_speed_mps: float | None, health: Health, floor_db: float
+        self, stamp_ns: int, tracks: list[Track], motion: Motion | None, health: Health, floor_db: float
     ) -> RadarTracks:
-        reports = [self._report(track, stamp_ns, ego_speed_mps) for track in tracks]
-        standing = [track for track in tracks if not is_moving(track, ego_speed_mps, self.config.tracking)]
+        speed_mps = motion.speed_mps if motion else None
+        reports = [self._report(track, stamp_ns, speed_mps) for track in tracks]
+        standing = [track for track in tracks if not is_moving(track, speed_mps, self.config.tracking)]
+        static = self.way.static_level(standing) if self.way.driving else static_level(standing, self.config.alarm)
         return RadarTracks(
             stamp_ns=stamp_ns,
             frame_id=FRAME_ID,
@@ -162,16 +208,37 @@ class RadarPipeline:
             level=worst(*(report.level for report in reports)),
             settled=self.clutter.settled,
             noise_floor_db=floor_db,
-            static_level=static_level(standing, self.config.alarm),
+            static_level=static,
             v_max_mps=self.axes.v_max_mps,
             range_min_m=max(0.0, self.axes.range_min_m),
             range_max_m=self.axes.range_max_m,
+            motion=motion,
+            cover=self._cover(health),
         )
 
-    def _report(self, track: Track, stamp_ns: int, ego_speed_mps: float | None) -> RadarTrack:
+    def _cover(self, health: Health) -> Cover:
+        """The antenna's cone; standing things show up while the vehicle drives towards them."""
+        mount, on_path = self.config.mounting.mount, self.config.on_path
+        sees = health.state == "online" and self.clutter.settled
+        return Cover(
+            x_m=mount.x_m,
+            y_m=mount.y_m,
+            first_rad=mount.yaw_rad - on_path.cover_half_rad,
+            step_rad=2 * on_path.cover_half_rad,
+            far_m=[min(on_path.cover_far_m, self.axes.range_max_m) if sees else 0.0],
+            near_m=max(0.0, self.axes.range_min_m),
+            standing=self.way.driving,
+            why="" if sees else health.reason or "the clutter background is not learned yet",
+        )
+
+    def _report(self, track: Track, stamp_ns: int, speed_mps: float | None) -> RadarTrack:
         tracking = self.config.tracking
         ttc_s = time_to_collision_s(track, tracking)
-        ago_s = approached_s_ago(track, stamp_ns)
+        meeting = track.meeting
+        if self.way.driving:
+            level, ttc_s = self.way.level(track), meeting.likely.contact_s if meeting else None
+        else:
+            level = alarm_level(track, ttc_s, self.config.alarm, tracking.moving_mps)
         return RadarTrack(
             track_id=track.track_id,
             range_m=track.range_m,
@@ -179,10 +246,12 @@ class RadarPipeline:
             velocity_mps=track.velocity_mps,
             age_frames=track.age,
             approaching=track.approaching,
-            moving=is_moving(track, ego_speed_mps, tracking),
+            moving=is_moving(track, speed_mps, tracking),
             ttc_s=ttc_s,
-            level=alarm_level(track, ttc_s, ago_s, self.config.alarm, tracking.moving_mps),
+            level=level,
             snr_db=track.snr_db,
             coasting=track.misses > 0,
-            approached_s_ago=ago_s,
+            approached_s_ago=approached_s_ago(track, stamp_ns),
+            on_way=meeting.likely.on_way if meeting else None,
+            beside_m=meeting.standing.beside_m(self.config.on_path.certain_sigmas) if meeting else None,
         )

@@ -9,8 +9,8 @@ from types import TracebackType
 
 import numpy as np
 
+from services.radar_pi.chip.exports import read_settings
 from services.radar_pi.config import WaveformConfig
-from services.radar_pi.exports import read_settings
 from services.radar_pi.parser import (
     RecordingError,
     check_recorder_frames,

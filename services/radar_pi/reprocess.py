@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from common.bus.status import Report
 from common.messages import RadarTracks
-from common.status import Report
 from services.radar_pi.config import RadarConfig
 from services.radar_pi.pipeline import RadarPipeline
 from services.radar_pi.source import open_source, with_waveform_of_source
@@ -16,4 +16,4 @@ def reprocess(config: RadarConfig, report: Report) -> Iterator[RadarTracks]:
     config = with_waveform_of_source(config)
     pipeline = RadarPipeline(config)
     for frame in open_source(config, report):
-        yield pipeline.process(frame.stamp_ns, frame.samples, frame.ego_mps, frame.epoch, frame.note)
+        yield pipeline.process(frame.stamp_ns, frame.samples, frame.motion, frame.epoch, frame.note)

@@ -12,24 +12,22 @@ from pathlib import Path
 
 import msgspec
 
+from common.bus.status import Report
 from common.clock import monotonic_s, utc_at, utc_ns
 from common.config import ConfigError
-from common.messages import EgoMotion
-from common.pubsub import Latest
-from common.recording.raw import MCAP_PARAMETERS, fitted_as_recorded, replayed
-from common.sim import bgt60
-from common.sim.model import DeviceUnplugged
-from common.sim.scenario_clock import ScenarioClock
+from common.recording.raw import MCAP_PARAMETERS, fitted_as_recorded, recorded_motion, replayed
 from common.source_url import SourceUrl, parse_source
-from common.status import Report
-from common.topics import EGO_MOTION, RADAR_RAW
+from common.topics import RADAR_RAW
+from services.radar_pi.chip.driver import RadarFrame
+from services.radar_pi.chip.exports import plan
 from services.radar_pi.config import RadarConfig, WaveformConfig
-from services.radar_pi.driver import RadarFrame
-from services.radar_pi.exports import plan
+from services.radar_pi.emulator.signals import simulator_waveform
 from services.radar_pi.parser import RecordingError
 from services.radar_pi.recording import Recording, open_recording
-from services.radar_pi.signals import simulator_waveform
 from services.radar_pi.spi_source import open_spi
+from spotter_sim import bgt60
+from spotter_sim.model import DeviceUnplugged
+from spotter_sim.scenario_clock import ScenarioClock
 
 SCHEMES: dict[str, tuple[str, ...]] = {"sim": ("t0",), "file": ("rate", "loop"), "spi": (), "mcap": MCAP_PARAMETERS}
 
@@ -68,22 +66,6 @@ def open_source(config: RadarConfig, report: Report) -> Frames:
     return _simulate(ScenarioClock(url), config.waveform, report)
 
 
-class EgoSpeed:
-    """The vehicle's speed while it is fresh. ``latest`` is the subscription to EGO_MOTION."""
-
-    def __init__(self, latest: Latest[EgoMotion]) -> None:
-        self._latest = latest
-        self._speed_mps: float | None = None
-        self._arrived_s = 0.0
-
-    def now_mps(self) -> float | None:
-        """Forward speed; None = nobody tells, or what was told is too old."""
-        for received in self._latest.take():
-            self._speed_mps, self._arrived_s = received.message.speed_mps, received.arrived_s
-        fresh = monotonic_s() - self._arrived_s <= (EGO_MOTION.age_limit_s or 0.0)
-        return self._speed_mps if fresh else None
-
-
 def _recording(url: SourceUrl) -> Recording:
     try:
         return open_recording(Path(url.target))
@@ -109,11 +91,10 @@ def _replay(recording: Recording, rate: float, *, loop: bool) -> Frames:
 
 
 def _recorded_on_the_bus(url: SourceUrl) -> Frames:
-    """Raw frames of ``spotter record --raw radar``, each with the speed that the service had been told."""
+    """Raw frames of ``spotter record --raw radar``, each with the motion that the service had been told."""
     for piece in replayed(url, RADAR_RAW):
-        note, speed_mps = str(piece.about.get("note", "")), piece.about.get("speed_mps")
-        ego_mps = float(speed_mps) if isinstance(speed_mps, int | float) else None
-        yield RadarFrame(piece.stamp_ns, piece.received_ns, piece.data, piece.epoch, note, ego_mps)
+        note = str(piece.about.get("note", ""))
+        yield RadarFrame(piece.stamp_ns, piece.received_ns, piece.data, piece.epoch, note, recorded_motion(piece))
 
 
 def _simulate(clock: ScenarioClock, waveform: WaveformConfig, report: Report) -> Frames:

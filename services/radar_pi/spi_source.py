@@ -1,4 +1,4 @@
-"""``spi:0.0`` and ``spi:emulator`` -> frames; a chip that went away is asked for again and again."""
+"""``spi:0.0`` and ``spi:emulator`` -> frames; a chip that is lost is opened again, with growing pauses."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from contextlib import closing
 
 import msgspec
 
+from common.backoff import Backoff
+from common.bus.status import Report
 from common.config import ConfigError
-from common.status import Report
-from services.radar_pi import signals
-from services.radar_pi.chip import RadarFault
+from services.radar_pi.chip.chip import RadarFault
+from services.radar_pi.chip.driver import Driver, RadarFrame
+from services.radar_pi.chip.exports import Plan, plan
+from services.radar_pi.chip.link import Clock, Link, SystemClock
 from services.radar_pi.config import RadarConfig, SpiConfig
-from services.radar_pi.driver import Driver, RadarFrame
-from services.radar_pi.emulator import EmulatedChip
-from services.radar_pi.exports import Plan, plan
-from services.radar_pi.link import Clock, Link, SystemClock
+from services.radar_pi.emulator import signals
+from services.radar_pi.emulator.emulator import EmulatedChip
 
 log = logging.getLogger("driver")
 
@@ -48,7 +49,7 @@ def link_opener(target: str, config: SpiConfig, clock: Clock) -> Callable[[], Li
     wired = msgspec.structs.replace(config, bus=int(bus), device=int(device))
 
     def open_hardware() -> Link:
-        from services.radar_pi.hardware import SpiLink
+        from services.radar_pi.chip.hardware import SpiLink
 
         return SpiLink(wired)
 
@@ -59,20 +60,21 @@ def keep_open(
     open_link: Callable[[], Link], clock: Clock, what: Plan, speed_hz: int, report: Report
 ) -> Iterator[RadarFrame]:
     """Frames for ever. While there is no chip the state is "disconnected", with the reason and bounded retries."""
-    epoch, wait_s = 1, FIRST_RETRY_S
+    epoch, backoff = 1, Backoff(FIRST_RETRY_S, LAST_RETRY_S)
     while True:
         try:
             driver = Driver(open_link(), clock, what, speed_hz, report, epoch)
             with closing(driver.frames()) as frames:
                 for frame in frames:
-                    epoch, wait_s = frame.epoch + 1, FIRST_RETRY_S
+                    epoch = frame.epoch + 1
+                    backoff.reset()
                     yield frame
         except (RadarFault, OSError) as error:
+            wait_s = backoff.next_s()
             report.bad_input(error.name if isinstance(error, RadarFault) else "bus_lost")
             report.state("disconnected", f"radar: {error}; next try in {wait_s:g} s")
             log.error("%s; next try in %g s", error, wait_s)
             clock.sleep(wait_s)
-            wait_s = min(2 * wait_s, LAST_RETRY_S)
 
 
 def _world(scenario: str) -> signals.SignalSource:

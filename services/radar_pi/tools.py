@@ -12,9 +12,9 @@ from typing import Annotated, Any
 
 import typer
 
+from common.bus.service_app import ConfigOption, SetOption, SourceOption, load_config, setup_logging
+from common.bus.status import Report
 from common.config import ConfigError
-from common.launch import ConfigOption, SetOption, SourceOption, load_config, setup_logging
-from common.status import Report
 from services.radar_pi.config import RadarConfig
 from services.radar_pi.pipeline import RadarPipeline
 from services.radar_pi.plot import draw

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import json
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
 
 from common.codec import decode
-from common.drill.namespaces import Lab, missing
 from common.messages import Verdict
 from common.recording.reader import read, read_metadata
 from services.blackbox.capsule import HostClock, host_clocks, merge
+from spotter_tools.drill.namespaces import Lab, missing
 
 pytestmark = [pytest.mark.netns, pytest.mark.slow, pytest.mark.system]
 
@@ -57,15 +57,16 @@ def spotter(lab: Lab, *words: str) -> str:
     return finished.stdout
 
 
-def until(condition: Callable[[], bool], what: str) -> None:
-    pause, deadline_s = threading.Event(), time.monotonic() + BUDGET_S
-    while not condition():
-        assert time.monotonic() < deadline_s, f"never: {what}"
-        pause.wait(0.5)
+@pytest.fixture(scope="module")
+def until(until: Callable[..., None]) -> Callable[..., None]:
+    """With time for the processes of four hosts."""
+    return partial(until, budget_s=BUDGET_S)
 
 
 @pytest.fixture(scope="module")
-def saved(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[str, Path]]]:
+def saved(
+    tmp_path_factory: pytest.TempPathFactory, until: Callable[..., None]
+) -> Iterator[tuple[Path, dict[str, Path]]]:
     """The merged file as `spotter incident open` makes it, and each host's own capsule."""
     why = missing()
     if why:

@@ -8,14 +8,15 @@ from typing import Any
 import pytest
 import zenoh
 
+from common.bus.session import close_session, open_session
 from common.security.names import read_names
 from common.security.rules import access_rules, own_commands, questions, spoken_keys
-from common.session import close_session, open_session
 from common.topics import COMMANDS
-from services.infra_lidar.recalibrate import command_key
+from services.infra_lidar.calibration.command import command_key
 
 pytestmark = pytest.mark.timeout(60)
 OWN = "infra0/infra_lidar/recalibrate"
+ACKNOWLEDGE = "jetson0/gate/acknowledge"
 FROM_AFAR = ("pi0/blackbox/incidents", "pi0/blackbox/capsule", "pi0/blackbox/save")
 
 
@@ -31,7 +32,7 @@ def given(yard: Any) -> Iterator[list[str]]:
 
     kept = [
         yard.clients[key.split("/")[0]].declare_queryable(key, lambda query, key=key: answer(query, key))
-        for key in (OWN, *FROM_AFAR)
+        for key in (OWN, ACKNOWLEDGE, *FROM_AFAR)
     ]
     yield taken
     for queryable in kept:
@@ -45,22 +46,27 @@ def answered(session: zenoh.Session, question: str) -> set[str]:
 
 def test_the_host_itself_may_give_every_command(yard: Any, given: list[str], until: Callable[..., None]) -> None:
     until(lambda: answered(yard.clients["infra0"], OWN) == {OWN})
+    until(lambda: answered(yard.clients["jetson0"], ACKNOWLEDGE) == {ACKNOWLEDGE})
     for key in FROM_AFAR:
         until(lambda key=key: answered(yard.clients["pi0"], key) == {key})
 
 
-@pytest.mark.parametrize("who", ["laptop", "another host", "the host's certificate from outside"])
-def test_nobody_else_recalibrates(yard: Any, given: list[str], who: str) -> None:
+@pytest.mark.parametrize("who", ["laptop", "another host", "a host's certificate from outside"])
+@pytest.mark.parametrize(("command", "other"), [(OWN, "jetson0"), (ACKNOWLEDGE, "pi0")])
+def test_nobody_else_recalibrates_or_acknowledges(
+    yard: Any, given: list[str], command: str, other: str, who: str
+) -> None:
+    host, service, name = command.split("/")
     sessions = {
-        "laptop": lambda: yard.laptop("infra0"),
-        "another host": lambda: yard.client("jetson0"),
-        "the host's certificate from outside": lambda: open_session(yard.named("jetson0", host="infra0")),
+        "laptop": lambda: yard.laptop(host),
+        "another host": lambda: yard.client(other),
+        "a host's certificate from outside": lambda: open_session(yard.named(other, host=host)),
     }
     session = sessions[who]()
     given.clear()
-    for question in (OWN, "infra0/infra_lidar/*", "*/*/recalibrate", "infra0/**", "**"):
-        assert OWN not in answered(session, question), question
-    assert OWN not in given
+    for question in (command, f"{host}/{service}/*", f"*/*/{name}", f"{host}/**", "**"):
+        assert command not in answered(session, question), question
+    assert command not in given
     close_session(session)
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from common.hosts import plan_of
-from common.site import load_site
+from common.host.process_plan import plan_of
+from common.host.site import load_site
 from common.topics import SERVICES
 
 yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
@@ -30,12 +31,13 @@ def services(name: str) -> dict[str, dict[str, Any]]:
 
 @pytest.mark.parametrize(("name", "host"), HOSTS.items())
 def test_a_host_runs_its_services_and_a_router(name: str, host: str) -> None:
-    expected = {row.name for row in SERVICES if row.host == host} | {"router", "blackbox"}
+    optional = {"blackbox", "gate"} if host == "jetson0" else {"blackbox"}
+    expected = {row.name for row in SERVICES if row.host == host} | {"router", *optional}
     assert set(services(name)) == expected
     for service, content in services(name).items():
         if service != "router":
             assert content["command"][-2:] == ["--only", service]
-        assert content.get("profiles", []) == (["blackbox"] if service == "blackbox" else [])
+        assert content.get("profiles", []) == ([service] if service in optional else [])
 
 
 @pytest.mark.parametrize("name", [*HOSTS, "router.yml", "demo.yml"])
@@ -49,6 +51,55 @@ def test_every_container_is_confined(name: str) -> None:
         assert {"mem_limit", "pids_limit"} <= set(content), service
         assert content["restart"] == "unless-stopped", service
         assert "privileged" not in content
+
+
+ALL_FILES = sorted(path.name for path in COMPOSE.glob("*.yml"))
+
+
+@pytest.mark.parametrize("name", ALL_FILES)
+def test_debian_12_s_docker_compose_reads_it(name: str) -> None:
+    """1.29 allows these sections and no other: `name` came with the second major version."""
+    sections = set(yaml.safe_load((COMPOSE / name).read_text()))
+    assert {one for one in sections if not one.startswith("x-")} <= {"services", "networks", "volumes"}
+
+
+def test_the_jetsons_image_has_what_its_capture_starts() -> None:
+    (build,) = [content["build"] for content in services("jetson.yml").values() if "build" in content]
+    packages = build["args"]["PACKAGES"].split()
+    assert {"gstreamer1.0-tools", "gstreamer1.0-plugins-base", "gstreamer1.0-plugins-good"} <= set(packages)
+    assert "apt-get install -y --no-install-recommends $PACKAGES" in (COMPOSE / "Dockerfile").read_text()
+
+
+def test_the_file_for_csi_gives_the_camera_its_daemons_socket_and_nothing_to_others() -> None:
+    added = yaml.safe_load((COMPOSE / "csi.yml").read_text())["services"]
+    assert set(added) == {"camera"}
+    assert added["camera"]["volumes"] == ["/tmp/argus_socket:/tmp/argus_socket"]
+    assert added["camera"]["runtime"] == "nvidia"
+
+
+def test_what_is_built_for_minutes_is_kept_in_a_volume() -> None:
+    """TensorRT's engines and compiled kernels: the camera keeps the first below CACHE_DIRECTORY, as under systemd."""
+    (cache,) = re.findall(r"CACHE_DIRECTORY=(\S+) NUMBA_CACHE_DIR=\1 ", (COMPOSE / "Dockerfile").read_text())
+    for content in services("jetson.yml").values():
+        if "build" in content:
+            assert f"cache:{cache}" in content["volumes"]
+
+
+def test_volumes_are_the_same_whatever_the_project_is_called() -> None:
+    for name in (*HOSTS, "demo.yml"):
+        volumes = yaml.safe_load((COMPOSE / name).read_text())["volumes"]
+        project = "spotter-demo" if name == "demo.yml" else "spotter"
+        assert {volume: content["name"] for volume, content in volumes.items()} == {
+            volume: f"{project}_{volume}" for volume in volumes
+        }
+
+
+def test_the_script_that_tries_the_demo_is_valid_and_waits_for_every_host() -> None:
+    script = COMPOSE / "try.sh"
+    subprocess.run(["bash", "-n", str(script)], check=True)
+    hosts = re.search(r"for host in ([\w ]+);", script.read_text())
+    assert hosts is not None
+    assert set(hosts[1].split()) == set(load_site(COMPOSE / "site.containers.toml").hosts)
 
 
 def test_the_official_router_is_pinned_to_the_version_of_the_library() -> None:

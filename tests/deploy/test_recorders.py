@@ -18,12 +18,12 @@ from typing import Any
 import pytest
 import zenoh
 
+from common.bus.session import close_session, open_session
 from common.config import load
+from common.host.site import Site
 from common.security.names import Name, Names
-from common.security.router import WORD_BYTES, WORD_HZ
+from common.security.router_config import WORD_BYTES, WORD_HZ
 from common.security.rules import laptop_recorders
-from common.session import close_session, open_session
-from common.site import Site
 
 pytestmark = [pytest.mark.patient, pytest.mark.timeout(60)]
 OWN = "laptop1/recorder/status"
@@ -164,8 +164,8 @@ def test_the_page_shows_what_a_laptop_records(yard: Any, until: Callable[..., No
         until(shown)
 
 
-def test_a_recorder_under_another_name_is_told_that_nobody_sees_it(yard: Any, tmp_path: Path) -> None:
+def test_a_recorder_under_another_name_warns_that_the_others_are_not_informed(yard: Any, tmp_path: Path) -> None:
     laptop = {"SPOTTER_CERTIFICATE": str(yard.keys / "laptop1.crt"), "SPOTTER_CONNECT": yard.site.endpoint("jetson0")}
     with process("spotter", "record", str(tmp_path), "--no-foxglove", "--host", "pi0", **laptop) as recorder:
         assert recorder.stderr is not None
-        assert any("let nobody here speak as `pi0`" in line for line in recorder.stderr)
+        assert any("let no client here publish as `pi0`" in line for line in recorder.stderr)

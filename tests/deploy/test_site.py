@@ -6,10 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from common.config import ConfigError
-from common.hosts import children, plan_of, whereabouts
-from common.site import HostConfig, ServicePlace, Site, keys_folder, load_site
+from common.config import ConfigError, load
+from common.geodesy import MapOrigin
+from common.host.process_plan import children, plan_of, sensor_host_settings
+from common.host.site import HostConfig, ServicePlace, Site, keys_folder, load_site
 from common.topics import SERVICES
+from services.jetson.dashboard.config import DashboardConfig
+from services.jetson.fusion.config import FusionConfig
 
 SHIPPED = Path(__file__).parents[2] / "compose" / "site.toml"
 
@@ -65,11 +68,15 @@ def test_a_program_of_somebody_else_is_told_where_it_is(tmp_path: Path) -> None:
 
 
 def test_fusion_and_dashboard_are_told_where_the_others_run() -> None:
-    moved = {"north": HostConfig(services={"radar": ServicePlace(), "fusion": ServicePlace()})}
-    site = Site(hosts=moved)
-    assert whereabouts(site, "fusion") == ("sensors.radar.host=north",)
-    assert whereabouts(site, "dashboard") == ("fusion_host=north",)
-    assert whereabouts(site, "radar") == ()
+    services = {"radar": ServicePlace(), "fusion": ServicePlace(), "dashboard": ServicePlace()}
+    site = Site(hosts={"north": HostConfig(services=services)})
+    assert "sensors.radar.host=north" in sensor_host_settings(site, "north", "fusion")
+    config = load(FusionConfig, None, plan_of(site, "north", None).settings["fusion"] + ("host=north",))
+    assert {config.host, config.ego_host, config.sensors.radar.host} == {"north"}
+    assert plan_of(site, "north", None).settings["radar"] == ("ego_host=north",)
+    assert sensor_host_settings(site, "north", "dashboard")[0] == "fusion_host=north"
+    page = load(DashboardConfig, None, sensor_host_settings(site, "north", "dashboard"))
+    assert page.server.site_hosts == ("127.0.0.1", "north")
 
 
 @pytest.mark.parametrize(
@@ -113,3 +120,19 @@ def test_two_computers_may_use_the_same_ports(tmp_path: Path) -> None:
 def test_an_unknown_host_is_refused_with_the_known_ones() -> None:
     with pytest.raises(ConfigError, match="known: pi0, jetson0, infra0"):
         Site().host("pi1")
+
+
+def test_fusion_misses_ego_and_gate_where_the_site_has_them() -> None:
+    services = {name: ServicePlace() for name in ("fusion", "ego", "gate")}
+    site = Site(hosts={"north": HostConfig(services=services)})
+    config = load(FusionConfig, None, (*plan_of(site, "north", None).settings["fusion"], "host=north"))
+    assert config.expects == ("north/ego", "north/gate")
+    assert sensor_host_settings(site, "north", "gate") == ("fusion_host=north",)
+    assert load(FusionConfig, None, sensor_host_settings(Site(), "jetson0", "fusion")).expects == ()
+
+
+def test_the_dashboard_is_told_where_the_map_lies() -> None:
+    place = MapOrigin(latitude_deg=52.5, longitude_deg=-13.25, heading_deg=0.0)
+    settings = sensor_host_settings(Site(map=place), "jetson0", "dashboard")
+    assert load(DashboardConfig, None, settings).map == place
+    assert load(DashboardConfig, None, sensor_host_settings(Site(), "jetson0", "dashboard")).map is None

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import sys
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from common.bus.presence import claimants, successor
 from common.messages import ObjectTrack, ObjectTracks, RadarTrack, RadarTracks, SensorHealth, SystemHealth
-from common.presence import claimants, successor
-from common.swap.candidate import command_line
-from common.swap.compare import Heard, Limits, compare, in_common, refuse
-from common.swap.watch import flaps, handover_seen, lost, primary, speakers
 from common.topics import INFRA_TRACKS, RADAR_TRACKS
+from spotter_tools.swap.candidate import command_line
+from spotter_tools.swap.compare import Limits, Received, compare, in_common, refuse
+from spotter_tools.swap.taps import primary
+from spotter_tools.swap.watch import flaps, handover_seen, lost, speakers
 
 
-def radar(t_s: float, *ranges_m: float, level: Any = "SAFE", latency_s: float = 0.02, **more: Any) -> Heard:
+def radar(t_s: float, *ranges_m: float, level: Any = "SAFE", latency_s: float = 0.02, **more: Any) -> Received:
     tracks = [
         RadarTrack(
             track_id=i, range_m=range_m, azimuth_rad=0.0, velocity_mps=-1.0, age_frames=9, approaching=True,
@@ -28,14 +31,14 @@ def radar(t_s: float, *ranges_m: float, level: Any = "SAFE", latency_s: float = 
         stamp_ns=stamp_ns, sent_ns=stamp_ns + round(latency_s * 1e9), tracks=tracks, level=level, settled=True,
         noise_floor_db=-60.0, **more,
     )  # fmt: skip
-    return Heard(message, t_s + latency_s)
+    return Received(message, t_s + latency_s)
 
 
-def stream(count: int = 50, period_s: float = 0.1, start_s: float = 1000.0, **how: Any) -> list[Heard]:
+def stream(count: int = 50, period_s: float = 0.1, start_s: float = 1000.0, **how: Any) -> list[Received]:
     return [radar(start_s + i * period_s, 5.0 - 0.02 * i, **how) for i in range(count)]
 
 
-def verdict_on(candidate: list[Heard]) -> list[str]:
+def verdict_on(candidate: list[Received]) -> list[str]:
     return refuse(compare(RADAR_TRACKS, 5.0, stream(), candidate), Limits())
 
 
@@ -52,7 +55,7 @@ def verdict_on(candidate: list[Heard]) -> list[str]:
     ],
     ids=["as good", "silent", "slow", "late", "another time", "blind", "degraded"],
 )
-def test_a_worse_candidate_is_refused_with_the_reason(candidate: list[Heard], told: str) -> None:
+def test_a_worse_candidate_is_refused_with_the_reason(candidate: list[Received], told: str) -> None:
     reasons = verdict_on(candidate)
     assert (not reasons) if not told else any(told in reason for reason in reasons), reasons
 
@@ -70,7 +73,7 @@ def test_a_candidate_that_warns_less_is_refused_and_one_that_warns_more_is_not()
 
 @pytest.mark.parametrize(("late_s", "weaker"), [(0.2, 0.0), (0.3, 0.02), (1.0, 0.16)])
 def test_a_level_that_comes_a_little_later_is_no_lower_level(late_s: float, weaker: float) -> None:
-    def approach(begins_s: float) -> list[Heard]:
+    def approach(begins_s: float) -> list[Received]:
         return [radar(1000.0 + 0.1 * i, 5.0, level="IMMINENT" if 0.1 * i > begins_s else "SAFE") for i in range(50)]
 
     found = compare(RADAR_TRACKS, 5.0, approach(2.05), approach(2.05 + late_s))
@@ -117,16 +120,16 @@ def test_gaps_and_flaps_are_counted() -> None:
 def test_what_is_told_twice_or_late_makes_up_for_nothing() -> None:
     """Both speak for half a second, and one measurement of the time after that is missing."""
     old, new = stream(6), stream(6, start_s=1000.03) + stream(10, start_s=1000.73)
-    new[-1] = Heard(new[-1].message, new[-1].arrived_s + 0.3)  # late, not missed
+    new[-1] = Received(new[-1].message, new[-1].arrived_s + 0.3)  # late, not missed
     seen = handover_seen("radar", stream(20, start_s=998.0), old, new, [], [])
     assert seen.change_ms == pytest.approx(-470.0)
     assert seen.missed == 1
     assert seen.longest_gap_ms == pytest.approx(400.0)
 
 
-def health(at_s: float, state: Any) -> Heard:
+def health(at_s: float, state: Any) -> Received:
     sensor = SensorHealth(state=state, reason="", since_ns=0, age_ms=1.0, rate_hz=10.0)
-    return Heard(SystemHealth(stamp_ns=1, sensors={"radar": sensor}, colour="green", summary="", services={}), at_s)
+    return Received(SystemHealth(stamp_ns=1, sensors={"radar": sensor}, colour="green", summary="", services={}), at_s)
 
 
 def test_what_was_so_before_is_no_fault_of_the_handover() -> None:
@@ -136,7 +139,7 @@ def test_what_was_so_before_is_no_fault_of_the_handover() -> None:
     assert (seen.health_flaps, seen.health_flaps_before) == (1, 2)
 
 
-def numbered(*numbers: int) -> list[Heard]:
+def numbered(*numbers: int) -> list[Received]:
     said = [radar(1000.0 + 0.05 * i) for i in range(len(numbers))]
     for heard, seq in zip(said, numbers, strict=True):
         heard.message.seq = seq
@@ -172,8 +175,11 @@ def test_the_topic_that_counts_is_the_one_others_decide_on() -> None:
     assert primary("dashboard").product == "status"
 
 
-def test_only_our_own_programs_are_told_by_options() -> None:
+def test_only_our_own_programs_are_told_by_options(monkeypatch: pytest.MonkeyPatch) -> None:
     ours = command_line("/opt/bin/spotter-radar --config a.toml", "pi0", "tcp/127.0.0.1:7447", "spotter")
     assert ours[:3] == ["/opt/bin/spotter-radar", "--config", "a.toml"]
     assert "host=pi0" in ours
+    sibling = str(Path(sys.executable).with_name("spotter-radar"))
+    monkeypatch.setenv("PATH", "")
+    assert command_line("spotter-radar", "pi0", "tcp/127.0.0.1:7447", "spotter")[0] == sibling
     assert command_line("python theirs.py", "pi0", "tcp/127.0.0.1:7447", "spotter") == ["python", "theirs.py"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import socket
 import subprocess
@@ -12,10 +13,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from common.cli.__main__ import app
-from common.site import HostConfig, ServicePlace, Site
-from common.systemd import hidden, needs_of, units
-from common.watchdog import Watchdog
+from common.bus.watchdog import Watchdog
+from common.host.gpu_devices import JETSON, gpu_devices
+from common.host.site import HostConfig, ServicePlace, Site
+from common.host.systemd import hidden, needs_of, units
+from spotter_tools.cli.__main__ import app
 
 
 def test_each_service_has_a_unit_and_the_router_too() -> None:
@@ -47,10 +49,56 @@ def test_a_unit_may_use_what_its_source_needs_and_no_more(service: str, source: 
     assert ("IPAddressDeny" in text) == (not source.startswith("ouster"))
 
 
+@pytest.mark.parametrize(
+    ("source", "private_tmp"), [("csi:0", "no"), ("v4l2:0", "yes"), ("v4l2:/dev/v4l/by-id/usb-cam", "yes")]
+)
+def test_a_cameras_unit_can_start(
+    source: str, private_tmp: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It sees the camera daemon's socket in /tmp and the GPU, by paths without patterns, which systemd refuses."""
+    for name in ("nvmap", "nvhost-ctrl", "nvhost-gpu", "nvgpu/igpu0/ctrl", "dri/renderD128", "sda"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    found = gpu_devices(tmp_path)
+    assert {Path(one).name for one in found} == {"nvmap", "nvhost-ctrl", "nvhost-gpu", "ctrl", "renderD128"}
+    monkeypatch.setattr("common.host.systemd.gpu_devices", lambda: found)
+    site = Site(hosts={"jetson0": HostConfig(services={"camera": ServicePlace(source=source)})})
+    text = units(site, "jetson0", "spotter", "site.toml")["spotter-camera.service"]
+    assert f"PrivateTmp={private_tmp}\n" in text
+    assert "ProcSubset" not in text
+    assert "SupplementaryGroups=video render\n" in text
+    allowed = [line.removeprefix("DeviceAllow=") for line in text.splitlines() if line.startswith("DeviceAllow")]
+    assert set(found) < set(allowed)
+    assert not [one for one in allowed if one.startswith("/dev") and any(sign in one for sign in "*?[ ")]
+
+
+def test_a_unit_that_is_written_elsewhere_names_a_jetsons_gpu(tmp_path: Path) -> None:
+    assert gpu_devices(tmp_path) == JETSON
+
+
+def test_all_other_units_keep_their_own_tmp_and_proc() -> None:
+    site = Site(hosts={"a": HostConfig(services={"radar": ServicePlace(source="spi:0.0"), "fusion": ServicePlace()})})
+    for name, text in units(site, "a", "spotter", "site.toml").items():
+        assert name == "spotter.target" or "PrivateTmp=yes\nProcSubset=pid\n" in text
+
+
+@pytest.mark.parametrize(("flags", "named"), [("fma avx2 bmi2", True), ("sse4_2 popcnt", False)])
+def test_kernels_are_compiled_for_every_processor_with_avx2(
+    flags: str, named: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cpuinfo = tmp_path / "cpuinfo"
+    cpuinfo.write_text(f"flags\t: fpu {flags} rdseed\n")
+    monkeypatch.setattr("common.host.systemd.CPUINFO", cpuinfo)
+    text = units(Site(), "infra0", "spotter", "site.toml")["spotter-infra-lidar.service"]
+    assert ("NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES=\n" in text) == named
+
+
 def test_systemd_accepts_the_units_and_calls_them_safe(tmp_path: Path) -> None:
     if shutil.which("systemd-analyze") is None:
         pytest.skip("systemd-analyze is not installed")
-    for name, text in units(Site(), "pi0", "/bin/true", "/etc/spotter/site.toml").items():
+    sources = {"radar": "spi:0.0", "lidar": "serial:/dev/ttyTHS1", "camera": "csi:0", "fusion": ""}
+    host = HostConfig(services={name: ServicePlace(source=source) for name, source in sources.items()})
+    for name, text in units(Site(hosts={"a": host}), "a", "/bin/true", "/etc/spotter/site.toml").items():
         (tmp_path / name).write_text(text)
     names = [str(path) for path in tmp_path.glob("*.service")]
     verified = subprocess.run(["systemd-analyze", "verify", *names], capture_output=True, text=True, check=False)
@@ -117,3 +165,22 @@ def test_a_container_is_told_by_a_file(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setenv("SPOTTER_ALIVE", str(tmp_path / "alive"))
     Watchdog("radar").alive()
     assert (tmp_path / "alive" / "radar").exists()
+
+
+def test_the_udev_rules_are_matches_and_assignments() -> None:
+    """udev passes over a line that it cannot read, so that nobody would notice."""
+    text = (Path(__file__).parents[2] / "compose" / "60-spotter.rules").read_text()
+    part = re.compile(r'(?:ACTION|SUBSYSTEM|KERNELS?|ATTRS\{\w+\}|ENV\{\w+\}|GROUP|MODE|SYMLINK)(?:==|=|\+=)"[^"]*"')
+    rules = [line for line in text.splitlines() if line and not line.startswith("# ")]
+    rules = [line.removeprefix("#") for line in rules]  # the one that is left to the reader too
+    assert len(rules) == 7
+    for line in rules:
+        assert all(part.fullmatch(one.strip()) for one in line.split(",")), line
+        assert "==" in line
+
+
+def test_a_unit_names_the_vehicle_of_its_host() -> None:
+    fusion = HostConfig(vehicle="car1", services={"fusion": ServicePlace()})
+    site = Site(hosts={"jetson1": fusion})
+    for text in units(site, "jetson1", "/usr/bin/spotter", "/etc/spotter/site.toml").values():
+        assert "on jetson1 of car1\n" in text

@@ -10,12 +10,13 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+import zenoh
 
 from common import topics
+from common.bus.runtime import Service
 from common.codec import encode
 from common.config import ServiceConfig, ZenohConfig
 from common.messages import CameraDetections, LidarZone, LidarZones, RadarTrack, RadarTracks
-from common.runtime import Service
 from spotter_client import ServiceInfo, ServiceStatus, Verdict, connect
 
 pytestmark = pytest.mark.patient
@@ -99,12 +100,22 @@ def test_another_type_than_expected_is_refused(endpoint: str) -> None:
         bus.latest(ZONES, Verdict)
 
 
+def test_a_bus_in_notebook_cells(endpoint: str) -> None:
+    bus = connect(endpoint)
+    assert bus.latest("jetson0/fusion/verdict", Verdict).level
+    bus.close()
+    bus.close()
+    with pytest.raises(zenoh.ZError):
+        bus.services()
+
+
 def test_a_stream_ends_by_count_and_by_time(endpoint: str) -> None:
     with connect(endpoint) as bus:
         levels = [one.level for one in bus.stream("*/fusion/verdict", Verdict, count=10)]
         assert len(levels) == 10
         assert set(levels) == {"SAFE", "CAUTION"}
-        assert list(bus.stream("nobody/fusion/verdict", seconds=0.05)) == []
+        with pytest.warns(UserWarning, match=r"nobody publishes nobody/fusion/verdict; did you mean jetson0/fusion/"):
+            assert list(bus.stream("nobody/fusion/verdict", seconds=0.05)) == []
 
 
 def test_several_keys_come_with_their_names(endpoint: str) -> None:
@@ -184,4 +195,5 @@ def test_example_who_is_there(endpoint: str) -> None:
 
 def test_every_example_is_tested() -> None:
     tested = {name.removeprefix("test_example_") for name in globals() if name.startswith("test_example_")}
-    assert tested == {path.stem for path in EXAMPLES.glob("*.py")}
+    elsewhere = {"ros2_peer"}  # tests/tools/ros2/test_another_hand.py
+    assert tested | elsewhere == {path.stem for path in EXAMPLES.glob("*.py")}

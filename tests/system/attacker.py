@@ -16,16 +16,16 @@ from pathlib import Path
 import zenoh
 
 from benchmarks.lab_ear import session_on
+from common.bus.session import close_session, open_session
 from common.codec import encode
 from common.config import ZenohConfig
+from common.host.site import Site, load_site
 from common.messages import LidarZone, LidarZones, RadarTracks
 from common.security import authority
-from common.security.router import with_certificate
-from common.session import close_session, open_session
-from common.site import Site, load_site
+from common.security.router_config import with_certificate
 
 AUTHORISED = "authorised"
-FLOOD = 20_000
+FLOOD = 8_000
 NONSENSE = (b"", b"\xc1", b"\x81\xa8stamp_ns", b"\x00" * 5_000_000)
 LIE = encode(RadarTracks(stamp_ns=2**62, tracks=[], level="IMMINENT", settled=True, noise_floor_db=0.0))
 NEAR = LidarZone(nearest_m=0.2, points=9, level="IMMINENT")

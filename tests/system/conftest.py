@@ -17,10 +17,10 @@ import pytest
 import zenoh
 
 from common import topics
+from common.bus.session import open_session
 from common.codec import DecodeError, decode
 from common.config import ZenohConfig
 from common.messages import Message, ServiceInfo, SystemHealth, Verdict
-from common.session import open_session
 
 SPOTTER = str(Path(sys.executable).with_name("spotter"))
 
@@ -76,7 +76,7 @@ class Demo:
         self.endpoint = endpoint
         self.port = port
         self.log = log
-        self.session = open_session(ZenohConfig(connect=(endpoint,)), give_up_after_s=60.0)
+        self.session = open_session(ZenohConfig(connect=(endpoint,), namespace="demo"), give_up_after_s=60.0)
         self.recorder = Recorder(self.session)
 
     def pid_of(self, service: str) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -15,10 +16,12 @@ from typing import Any
 import psutil
 import pytest
 
+from common.bus.session import open_session
+from common.config import ZenohConfig
 from common.messages import Message, SystemHealth, Verdict
 from common.topics import SERVICES
 
-pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.slow, pytest.mark.timeout(240)]
 SENSOR_SERVICES = ("radar", "lidar", "camera", "infra_lidar")
 
 
@@ -92,6 +95,45 @@ def test_a_killed_dashboard_is_missed_by_nobody(running_demo: Any, is_all_online
     assert b"NO VERDICT" in page  # what it says until it knows better
 
 
+def test_the_demo_speaks_below_a_name_of_its_own_and_is_never_live(
+    running_demo: Any, until: Callable[..., None]
+) -> None:
+    """A reader of the site's keys hears nothing of it, and every verdict says that it is simulated."""
+    everything = ZenohConfig(connect=(running_demo.endpoint,), namespace="")
+    with open_session(everything, give_up_after_s=10.0) as session:
+        keys: set[str] = set()
+        kept = session.declare_subscriber("**", lambda sample: keys.add(str(sample.key_expr)))
+        until(lambda: {f"demo/{row.host}/{row.name}/status" for row in SERVICES} <= keys)
+        assert all(key.startswith("demo/") for key in keys)
+        del kept
+    verdict = running_demo.recorder.last(Verdict)
+    assert (verdict.source_kind, verdict.inputs["lidar"].source_kind) == ("simulated", "simulated")
+
+
+def test_the_demo_keeps_incidents(running_demo: Any) -> None:
+    spotter = str(Path(sys.executable).with_name("spotter"))
+    place = ["--connect", running_demo.endpoint]
+    saved = subprocess.run(
+        [spotter, "incident", "save", *place], capture_output=True, text=True, timeout=30, check=True
+    )
+    assert saved.stdout.startswith("jetson0: ")
+    name, deadline_s, listed = saved.stdout.split()[1], time.monotonic() + 40, ""
+    while name not in listed:
+        assert time.monotonic() < deadline_s, listed
+        command = [spotter, "incident", "list", *place]
+        listed = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True).stdout
+
+
+def test_doctor_knows_a_demo_from_a_site(running_demo: Any) -> None:
+    command = [str(Path(sys.executable).with_name("spotter")), "doctor", "--json", "--connect", running_demo.endpoint]
+    told = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    found = [json.loads(line) for line in told.stdout.splitlines()]
+    assert found[0]["what"] == f"a demo runs at {running_demo.endpoint}; no site is checked"
+    assert not [row for row in found if row["grade"] == "broken"]
+    assert {row["check"] for row in found} >= {f"hear {row.host}/{row.name}" for row in SERVICES}
+    assert told.returncode == 0
+
+
 def test_a_laptop_needs_only_zenoh_and_msgpack(running_demo: Any, tmp_path: Path) -> None:
     environment = tmp_path / "laptop"
     uv = str(Path(sys.executable).with_name("uv"))
@@ -101,7 +143,7 @@ def test_a_laptop_needs_only_zenoh_and_msgpack(running_demo: Any, tmp_path: Path
     subprocess.run([*install, "eclipse-zenoh", "msgpack"], check=True)
     script = f"""
 import msgpack, zenoh
-config = '{{mode: "client", namespace: "spotter", connect: {{endpoints: ["{running_demo.endpoint}"]}}}}'
+config = '{{mode: "client", namespace: "demo", connect: {{endpoints: ["{running_demo.endpoint}"]}}}}'
 session = zenoh.open(zenoh.Config.from_json5(config))
 for sample in (subscriber := session.declare_subscriber("jetson0/fusion/verdict")):
     verdict = msgpack.unpackb(sample.payload.to_bytes())

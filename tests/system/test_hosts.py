@@ -31,11 +31,12 @@ from benchmarks.lab import (
     up,
 )
 from common.clock import monotonic_s
-from common.drill.namespaces import Lab, missing
+from spotter_tools.drill.namespaces import Lab, missing
 
 pytestmark = [pytest.mark.netns, pytest.mark.slow, pytest.mark.system, pytest.mark.timeout(240)]
 ATTACKER = str(Path(__file__).with_name("attacker.py"))
-# Each host once the first and once the last; all 6, and all 24 with the gate: `python -m benchmarks.deploy all-orders`.
+# Each host once the first and once the last; all 6, and all 24 with the gate:
+# `python -m benchmarks.system.deploy all-orders`.
 BOOT_ORDERS = (("pi0", "jetson0", "infra0"), ("jetson0", "infra0", "pi0"), ("infra0", "pi0", "jetson0"))
 HOLD_S = 1.5
 CUT_S = 3.5  # the lease is 2 s: the links are given up meanwhile

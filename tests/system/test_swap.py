@@ -6,10 +6,9 @@ import json
 import os
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +16,17 @@ import pytest
 import zenoh
 
 from common import topics
+from common.bus.session import open_session
 from common.codec import decode
 from common.config import ZenohConfig
 from common.messages import RadarTracks, ServiceInfo, SystemHealth
-from common.session import open_session
 
-pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.slow, pytest.mark.timeout(120)]
 HERE = Path(__file__).parent
 STANDIN = f"{sys.executable} {HERE / 'standin_radar.py'}"
 WORSE = f"{sys.executable} {HERE / 'standin_worse.py'}"
 BIN = Path(sys.executable).parent
+BUDGET_S = 30.0
 
 
 @pytest.fixture
@@ -68,11 +68,10 @@ def pids_of_radar(session: zenoh.Session) -> set[int]:
     return {decode(answer.payload.to_bytes(), ServiceInfo).pid for answer in answers}
 
 
-def eventually(reached: Callable[[], object], budget_s: float = 30.0) -> None:
-    deadline_s, pause = time.monotonic() + budget_s, threading.Event()
-    while not reached():
-        assert time.monotonic() < deadline_s
-        pause.wait(0.05)
+@pytest.fixture
+def until(until: Callable[..., None]) -> Callable[..., None]:
+    """With time for processes to start."""
+    return partial(until, budget_s=BUDGET_S)
 
 
 def test_the_standin_is_short_and_needs_nothing_of_ours() -> None:
@@ -82,7 +81,9 @@ def test_the_standin_is_short_and_needs_nothing_of_ours() -> None:
     assert imported - set(sys.stdlib_module_names) == {"msgpack", "zenoh"}
 
 
-def test_fusion_takes_the_word_of_a_foreign_radar(standin: Any, laptop: zenoh.Session, router_endpoint: str) -> None:
+def test_fusion_takes_the_word_of_a_foreign_radar(
+    standin: Any, laptop: zenoh.Session, router_endpoint: str, until: Callable[..., None]
+) -> None:
     fusion = subprocess.Popen([str(BIN / "spotter-fusion"), "--set", f'zenoh.connect=["{router_endpoint}"]'])
     states: list[str] = []
 
@@ -91,7 +92,7 @@ def test_fusion_takes_the_word_of_a_foreign_radar(standin: Any, laptop: zenoh.Se
 
     try:
         laptop.declare_subscriber(topics.FUSION_HEALTH.any_host, note)
-        eventually(lambda: states and states[-1] == "online")
+        until(lambda: states and states[-1] == "online")
     finally:
         fusion.terminate()
         fusion.wait(10)
@@ -107,9 +108,15 @@ def test_fusion_takes_the_word_of_a_foreign_radar(standin: Any, laptop: zenoh.Se
     ids=["slow", "late", "dead"],
 )
 def test_a_worse_candidate_is_refused(
-    standin: Any, laptop: zenoh.Session, router_endpoint: str, tmp_path: Path, candidate: str, why: str
+    standin: Any,
+    laptop: zenoh.Session,
+    router_endpoint: str,
+    tmp_path: Path,
+    candidate: str,
+    why: str,
+    until: Callable[..., None],
 ) -> None:
-    eventually(lambda: len(instances(laptop)) == 1)
+    until(lambda: len(instances(laptop)) == 1)
     before = instances(laptop)
     with swap(router_endpoint, tmp_path / "log", candidate) as (process, outcome):
         assert process.wait(10) == 1
@@ -118,7 +125,7 @@ def test_a_worse_candidate_is_refused(
 
 
 def test_a_swap_that_is_ended_leaves_no_candidate(
-    standin: Any, laptop: zenoh.Session, router_endpoint: str, tmp_path: Path
+    standin: Any, laptop: zenoh.Session, router_endpoint: str, tmp_path: Path, until: Callable[..., None]
 ) -> None:
     words = ["swap", "radar", "--candidate", STANDIN, "--seconds", "60", "--connect", router_endpoint, "--log"]
     shadows: set[str] = set()
@@ -128,35 +135,39 @@ def test_a_swap_that_is_ended_leaves_no_candidate(
 
     laptop.liveliness().declare_subscriber("shadow/pi0/radar/alive/*", note)
     with subprocess.Popen([str(BIN / "spotter"), *words, str(tmp_path / "log")], stdout=subprocess.PIPE) as process:
-        eventually(lambda: shadows)
+        until(lambda: shadows)
         process.terminate()
         assert process.wait(10) == 1
-        eventually(lambda: not shadows)
+        until(lambda: not shadows)
     assert len(instances(laptop)) == 1
 
 
 def test_an_equal_one_takes_over_and_is_minded(
-    standin: subprocess.Popen[bytes], laptop: zenoh.Session, router_endpoint: str, tmp_path: Path
+    standin: subprocess.Popen[bytes],
+    laptop: zenoh.Session,
+    router_endpoint: str,
+    tmp_path: Path,
+    until: Callable[..., None],
 ) -> None:
-    eventually(lambda: len(instances(laptop)) == 1)
+    until(lambda: len(instances(laptop)) == 1)
     with swap(router_endpoint, tmp_path / "log", STANDIN) as (process, outcome):
         assert outcome["promoted"], outcome
         assert outcome["handover"]["longest_gap_ms"] < 500.0  # the topic's age limit
         assert outcome["handover"]["messages"] > 10
         assert standin.wait(10) == 0
-        eventually(lambda: instances(laptop) == {outcome["new"]})
+        until(lambda: instances(laptop) == {outcome["new"]})
         os.kill(outcome["pid"], 9)
-        eventually(lambda: pids_of_radar(laptop) - {outcome["pid"]})  # started again, no longer in the shadow
+        until(lambda: pids_of_radar(laptop) - {outcome["pid"]})  # started again, no longer in the shadow
         assert not any("-after-" in instance for instance in instances(laptop))
         process.terminate()
         process.wait(10)
-        eventually(lambda: not instances(laptop))
+        until(lambda: not instances(laptop))
 
 
 @pytest.fixture
 def pi(router_endpoint: str, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
     """A host whose supervisor runs the stand-in as its radar."""
-    code = "from common.supervisor import *; raise SystemExit(run_supervised(Supervisor([Child('radar', {})])))"
+    code = "from common.host.supervisor import *; raise SystemExit(run_supervised(Supervisor([Child('radar', {})])))"
     environment = {**os.environ, "SPOTTER_CONNECT": router_endpoint}
     process = subprocess.Popen([sys.executable, "-c", code.format(STANDIN.split())], env=environment)
     yield process
@@ -165,42 +176,46 @@ def pi(router_endpoint: str, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]
 
 
 def test_a_hosts_supervisor_goes_on_with_the_new_one(
-    pi: Any, laptop: zenoh.Session, router_endpoint: str, tmp_path: Path
+    pi: Any, laptop: zenoh.Session, router_endpoint: str, tmp_path: Path, until: Callable[..., None]
 ) -> None:
     """The command ends, the host minds what speaks; a second swap that fails is rolled back to the first one's."""
-    eventually(lambda: len(instances(laptop)) == 1)
+    until(lambda: len(instances(laptop)) == 1)
     with swap(router_endpoint, tmp_path / "log", STANDIN) as (process, outcome):
         assert outcome["promoted"], outcome
         assert outcome["supervised"]
         assert process.wait(10) == 0
-        eventually(lambda: instances(laptop) == {outcome["new"]})
+        until(lambda: instances(laptop) == {outcome["new"]})
     with swap(router_endpoint, tmp_path / "log", f"{WORSE} mortal") as (process, second):
         assert any("ended with code 9" in reason for reason in second["reasons"]), second
         assert "the old service runs again" in second["reasons"]
         assert process.wait(10) == 1
-    eventually(lambda: len(pids_of_radar(laptop)) == 1)
+    until(lambda: len(pids_of_radar(laptop)) == 1)
     (back,) = pids_of_radar(laptop)
     assert back != outcome["pid"]
     os.kill(back, 9)
-    eventually(lambda: pids_of_radar(laptop) - {back})
+    until(lambda: pids_of_radar(laptop) - {back})
 
 
 def test_one_that_fails_after_its_promotion_is_rolled_back(
-    standin: subprocess.Popen[bytes], laptop: zenoh.Session, router_endpoint: str, tmp_path: Path
+    standin: subprocess.Popen[bytes],
+    laptop: zenoh.Session,
+    router_endpoint: str,
+    tmp_path: Path,
+    until: Callable[..., None],
 ) -> None:
     heard: list[RadarTracks] = []
-    eventually(lambda: len(instances(laptop)) == 1)
+    until(lambda: len(instances(laptop)) == 1)
     before = instances(laptop)
     with swap(router_endpoint, tmp_path / "log", f"{WORSE} mortal") as (process, outcome):
         assert not outcome["promoted"]
         assert any("ended with code 9" in reason for reason in outcome["reasons"]), outcome
         assert "the old service runs again" in outcome["reasons"]
         assert standin.wait(10) == 0  # it had been stopped: what speaks now is a new process of the same command
-        eventually(lambda: len(instances(laptop)) == 1)
+        until(lambda: len(instances(laptop)) == 1)
         assert not instances(laptop) & before
         assert not any("-after-" in instance for instance in instances(laptop))
         laptop.declare_subscriber("pi0/radar/tracks", lambda s: heard.append(decode(s.payload.to_bytes(), RadarTracks)))
-        eventually(lambda: heard)
+        until(lambda: heard)
         process.terminate()
         assert process.wait(10) == 1
-        eventually(lambda: not instances(laptop))
+        until(lambda: not instances(laptop))

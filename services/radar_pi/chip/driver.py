@@ -16,13 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from common.status import Report
-from services.radar_pi import registers as reg
-from services.radar_pi.chip import Chip, ChipRefused, Cure, RadarFault
-from services.radar_pi.exports import Plan
-from services.radar_pi.interrupt import InterruptLine
-from services.radar_pi.link import Clock, Link
-from services.radar_pi.packing import (
+from common.bus.status import Report
+from common.messages import Motion
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.chip import Chip, ChipRefused, Cure, RadarFault
+from services.radar_pi.chip.exports import Plan
+from services.radar_pi.chip.interrupt import InterruptLine
+from services.radar_pi.chip.link import Clock, Link
+from services.radar_pi.chip.packing import (
     COUNTER_SPAN,
     FrameAssembler,
     Layout,
@@ -31,9 +32,9 @@ from services.radar_pi.packing import (
     unpack_frame,
     unpack_words,
 )
-from services.radar_pi.registers import Fstat, Register
-from services.radar_pi.schedule import WordSchedule, burst_words
-from services.radar_pi.stamps import FrameStamps
+from services.radar_pi.chip.registers import Fstat, Register
+from services.radar_pi.chip.schedule import WordSchedule, burst_words
+from services.radar_pi.chip.stamps import FrameStamps
 
 log = logging.getLogger("driver")
 
@@ -56,7 +57,7 @@ class RadarFrame(NamedTuple):
     samples: np.ndarray  # (rx, chirp, sample) uint16, 0..4095
     epoch: int  # rises whenever the chip was restarted: what was learned before is void
     note: str  # what is wrong with the link although frames arrive; empty if nothing
-    ego_mps: float | None = None  # of a recording of the bus: what the vehicle's speed was known to be
+    motion: Motion | None = None  # of a recording of the bus: how the vehicle was known to move
 
 
 class Driver:

@@ -6,9 +6,9 @@ Emulator and driver share this table.
 from __future__ import annotations
 
 from common.config import ConfigError
-from services.radar_pi import registers as reg
-from services.radar_pi.packing import HEADER_WORDS, Layout
-from services.radar_pi.waveform import CLOCK_HZ, Timing
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.packing import HEADER_WORDS, Layout
+from services.radar_pi.chip.waveform import CLOCK_HZ, Timing
 
 
 class WordSchedule:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from common.sim import bgt60
-from common.sim.world import scenario_time
 from services.radar_pi.axes import derive_axes
 from services.radar_pi.config import WaveformConfig
-from services.radar_pi.emulated_fifo import SignalSource
+from services.radar_pi.emulator.emulated_fifo import SignalSource
+from spotter_sim import bgt60
+from spotter_sim.world import scenario_time
 
 MID_SCALE = 2048
 
@@ -31,7 +31,7 @@ def noise(sigma_lsb: float = 20.0, seed: int = 0) -> SignalSource:
 
 
 def world(scenario: str) -> SignalSource:
-    """The simulated world (``common/sim``) at scenario time = UTC modulo the scenario's length.
+    """The simulated world (``spotter_sim``) at scenario time = UTC modulo the scenario's length.
 
     Raises:
         ValueError: no such scenario.

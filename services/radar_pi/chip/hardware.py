@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from common.clock import monotonic_s
+from services.radar_pi.chip.gpio import AUTO, HEADER_LABELS, header_chip, labels
 from services.radar_pi.config import SpiConfig
 
 _BUFFER_LIMIT = Path("/sys/module/spidev/parameters/bufsiz")
@@ -87,15 +88,33 @@ def _request_lines(config: SpiConfig) -> tuple[Any, Any]:
         config.reset_gpio: gpiod.LineSettings(direction=line.Direction.OUTPUT, output_value=line.Value.ACTIVE),
         config.irq_gpio: gpiod.LineSettings(direction=line.Direction.INPUT, edge_detection=line.Edge.RISING),
     }
+    chip = _chip(gpiod, config)
     try:
-        return gpiod, gpiod.request_lines(config.gpio_chip, consumer="spotter-radar", config=settings)
+        return gpiod, gpiod.request_lines(chip, consumer="spotter-radar", config=settings)
     except FileNotFoundError:
-        raise HardwareError(f"{config.gpio_chip} is missing: see [spi] gpio_chip") from None
+        raise HardwareError(f"{chip} is missing: see [spi] gpio_chip") from None
     except PermissionError:
-        raise HardwareError(f"{config.gpio_chip}: this user is not in group gpio") from None
+        raise HardwareError(f"{chip}: this user is not in group gpio") from None
     except OSError as error:
-        lines = f"GPIO {config.reset_gpio}, {config.irq_gpio} of {config.gpio_chip}"
+        lines = f"GPIO {config.reset_gpio}, {config.irq_gpio} of {chip}"
         raise HardwareError(f"{lines}: {error.strerror}; does another program hold them?") from None
+
+
+def _chip(gpiod: Any, config: SpiConfig) -> str:
+    if config.gpio_chip != AUTO:
+        return config.gpio_chip
+    try:
+        found = labels(gpiod)
+    except PermissionError as error:
+        raise HardwareError(f"{error.filename or 'GPIO'}: this user is not in group gpio") from None
+    chip = header_chip(found)
+    if chip is None:
+        there = ", ".join(f"{path} ({label})" for path, label in found.items()) or "none"
+        raise HardwareError(
+            f"no GPIO chip is the header's: expected one of {', '.join(HEADER_LABELS)}, found {there}; "
+            'name it: [spi] gpio_chip = "/dev/gpiochipN"'
+        )
+    return chip
 
 
 def _buffer_limit() -> int:

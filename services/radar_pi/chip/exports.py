@@ -16,10 +16,10 @@ from typing import Any
 import msgspec
 
 from common.config import ConfigError
-from services.radar_pi import waveform as wave
+from services.radar_pi.chip import waveform as wave
+from services.radar_pi.chip.registers import Register, Registers
+from services.radar_pi.chip.waveform import Timing
 from services.radar_pi.config import WaveformConfig
-from services.radar_pi.registers import Register, Registers
-from services.radar_pi.waveform import Timing
 
 _LINE = re.compile(r"^\s*\w+\s+(0x[0-9a-fA-F]+)\s+(0x[0-9a-fA-F]+)\s*$")
 _WORD = re.compile(r"\b0x([0-9a-fA-F]{6,8})(?:UL|u|U|L)?\b")

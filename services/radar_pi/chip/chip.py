@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from services.radar_pi import registers as reg
-from services.radar_pi.link import Clock, Link
-from services.radar_pi.registers import CHIP_ID_BGT60TR13C, Fstat, Gsr0, Register, Registers
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.link import Clock, Link
+from services.radar_pi.chip.registers import CHIP_ID_BGT60TR13C, Fstat, Gsr0, Register, Registers
 
 RESET_PULSE_S = 1e-3  # at least 100 ns each
 RESET_SETTLE_S = 10e-3

@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from services.radar_pi import registers as reg
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.link import Clock
+from services.radar_pi.chip.packing import COUNTER_SPAN, HEADER_WORDS, lfsr_sequence, pack_frame, pack_words
+from services.radar_pi.chip.registers import FIFO_WORDS, WORD_BYTES
+from services.radar_pi.chip.schedule import WordSchedule
+from services.radar_pi.chip.waveform import timing_of, waveform_of
 from services.radar_pi.config import WaveformConfig
-from services.radar_pi.link import Clock
-from services.radar_pi.packing import COUNTER_SPAN, HEADER_WORDS, lfsr_sequence, pack_frame, pack_words
-from services.radar_pi.registers import FIFO_WORDS, WORD_BYTES
-from services.radar_pi.schedule import WordSchedule
-from services.radar_pi.waveform import timing_of, waveform_of
 
 # (UTC seconds of the first chirp, programmed waveform) -> (rx, chirp, sample) uint16, 0..4095
 SignalSource = Callable[[float, WaveformConfig], np.ndarray]

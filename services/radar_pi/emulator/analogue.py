@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from common.config import ConfigError
-from services.radar_pi import registers as reg
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.registers import Register, Registers
 from services.radar_pi.config import WaveformConfig
-from services.radar_pi.registers import Register, Registers
 
 HP_CUTOFFS_HZ = (20_000, 45_000, 70_000, 80_000)
 LP_CUTOFF_HZ = 500_000  # anti-alias filter, four poles

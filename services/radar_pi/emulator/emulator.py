@@ -12,10 +12,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from services.radar_pi import registers as reg
-from services.radar_pi.emulated_fifo import EmulatedFifo, SignalSource
-from services.radar_pi.link import Clock
-from services.radar_pi.registers import Fstat, Gsr0, PowerMode, Register
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.link import Clock
+from services.radar_pi.chip.registers import Fstat, Gsr0, PowerMode, Register
+from services.radar_pi.emulator.emulated_fifo import EmulatedFifo, SignalSource
 
 RESET_VALUES = {
     Register.MAIN: 0x1E0000,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.radar_pi.registers import WORD_BYTES
+from services.radar_pi.chip.registers import WORD_BYTES
 
 HEADER_WORDS = 3
 COUNTER_SPAN = 1 << 12

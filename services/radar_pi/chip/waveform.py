@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from common.config import ConfigError
-from services.radar_pi import registers as reg
-from services.radar_pi.analogue import gain_and_cutoff, receivers, temperature_adc
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.registers import Field, PdMode, Register, Registers
 from services.radar_pi.config import WaveformConfig
-from services.radar_pi.registers import Field, PdMode, Register, Registers
+from services.radar_pi.emulator.analogue import gain_and_cutoff, receivers, temperature_adc
 
 CLOCK_HZ = 80_000_000
 CODE_HZ = 8 * CLOCK_HZ / 2**20  # one step of a frequency code: 610.35 Hz

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from services.radar_pi.packing import COUNTER_SPAN
-from services.radar_pi.waveform import Timing
+from services.radar_pi.chip.packing import COUNTER_SPAN
+from services.radar_pi.chip.waveform import Timing
 
 CRYSTAL_ERROR = 1e-4  # chip against host, both together; generous
 
