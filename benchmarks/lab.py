@@ -19,18 +19,16 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from common import topics
 from common.clock import monotonic_s
-from common.drill.namespaces import Lab
 from common.security import authority
+from spotter_tools.drill.namespaces import Lab
 
 SERVICES = {
-    "pi0": ("radar",),
-    "jetson0": ("lidar", "camera", "fusion"),
-    "infra0": ("infra_lidar",),
-    "gate0": (),
+    host: tuple(row.name for row in topics.SERVICES if row.host == host and row.name != "dashboard")
+    for host in ("pi0", "jetson0", "infra0", "gate0")
 }
 HOSTS = (*SERVICES, "laptop1")
-SENSORS = ("radar", "lidar", "camera", "infra_lidar")
 # What the vehicle's fusion cannot hear while this host is cut off, or while its router is down.
 BEHIND = {"pi0": ("radar",), "jetson0": ("radar", "infra_lidar"), "infra0": ("infra_lidar",)}
 FAULTS = ("cut", "delay", "loss", "throttle")
@@ -52,7 +50,7 @@ def make_site(lab: Lab) -> None:
     for laptop in ("laptop1", "revoked1"):
         authority.issue(keys, laptop, "laptop")
     authority.revoke(keys, "revoked1")
-    (lab.folder / "site.toml").write_text("\n".join(lines) + "\n")
+    (lab.folder / "site.toml").write_text("\n".join(["accept_simulated = true", *lines]) + "\n")
 
 
 def up(lab: Lab, host: str, scenario: str = "empty") -> None:
@@ -146,7 +144,7 @@ def state(sensor: str, *wanted: str) -> Fits:
 
 def all_online(line: Line) -> bool:
     """A health message without a blemish."""
-    return all(state(sensor, "online")(line) for sensor in SENSORS)
+    return all(state(sensor, "online")(line) for sensor in topics.SENSOR_TOPICS)
 
 
 @dataclass(frozen=True)
@@ -165,14 +163,14 @@ class Noticed:
         """From an ear on the vehicle: ``lost`` are the sensors that have to be missed, and no others may be."""
         lines = ear.between(begun_s, ended_s)
         health = [line for line in lines if line["kind"] == "health"]
-        bad = [line for line in health if any(line["states"].get(name) != "online" for name in SENSORS)]
+        bad = [line for line in health if any(line["states"].get(name) != "online" for name in topics.SENSOR_TOPICS)]
         times_s = _verdict_times_s(lines, begun_s, ended_s)
         return cls(
             notice_s=bad[0]["at"] - begun_s if bad else None,
             recover_s=back_s - ended_s if bad else None,
             verdict_hz=(len(times_s) - 2) / (ended_s - begun_s),
             gap_s=max(b - a for a, b in pairwise(times_s)),
-            causes=tuple(sorted({line["causes"][name] for line in bad for name in SENSORS} - {""})),
+            causes=tuple(sorted({line["causes"][name] for line in bad for name in topics.SENSOR_TOPICS} - {""})),
             wrong=tuple(_wrong(lines, lost)),
         )
 

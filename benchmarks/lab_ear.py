@@ -16,13 +16,13 @@ from typing import Any
 import zenoh
 
 from common import topics
+from common.bus.session import close_session, open_session
 from common.clock import monotonic_s, utc_ns
 from common.codec import DecodeError, decode
 from common.config import ZenohConfig
+from common.host.site import load_site
 from common.messages import Message, SystemHealth, Verdict
-from common.security.router import laptop_config
-from common.session import close_session, open_session
-from common.site import load_site
+from common.security.router_config import laptop_config
 
 LAPTOP_AT = "gate0"
 
