@@ -11,7 +11,6 @@ from __future__ import annotations
 import io
 import os
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -22,6 +21,9 @@ from pathlib import Path
 
 from browser import CHROMIUM, Browser
 from PIL import Image
+
+from common.topics import spoken
+from spotter_tools.ports import free_port
 
 DOCS = Path(__file__).parent
 STATES = DOCS / "states"
@@ -42,7 +44,7 @@ STATE = (
 def only(**states: str) -> str:
     """The page shows these sensors in these states, and the others of the vehicle online."""
     wanted = {"lidar": "online", "radar": "online", "camera": "online"} | states
-    return " && ".join(STATE.format(sensor=sensor, state=state) for sensor, state in wanted.items())
+    return " && ".join(STATE.format(sensor=spoken(sensor), state=state) for sensor, state in wanted.items())
 
 
 # File, what is waited for, how much of the page from its top.
@@ -63,6 +65,7 @@ OF_FAULTS = (
 
 
 def main() -> None:
+    """Take all pictures; the words above."""
     if CHROMIUM is None:
         raise SystemExit("no Chromium on this machine")
     STATES.mkdir(exist_ok=True)
@@ -76,6 +79,7 @@ def main() -> None:
 
 
 def crossing(browser: Browser) -> None:
+    """The pictures of the crossing scenario, dark and on a phone."""
     with demo("crossing") as (process, url, endpoint), recorder(endpoint):
         browser.open(url, WIDTH, HEIGHT, dark=True)
         browser.wait(f"{ALL_THERE} && {GREEN} && {RECORDED}", START_S)
@@ -93,6 +97,7 @@ def crossing(browser: Browser) -> None:
 
 
 def faults(browser: Browser) -> None:
+    """The pictures of the faults scenario."""
     with demo("faults") as (_, url, _):
         browser.open(url, WIDTH, HEIGHT, dark=True)
         browser.wait(ALL_THERE, START_S)
@@ -100,6 +105,7 @@ def faults(browser: Browser) -> None:
 
 
 def photograph(browser: Browser, states: tuple[tuple[str, str, int], ...]) -> None:
+    """One picture per state, when the page shows it."""
     for name, condition, height in states:
         browser.wait(condition, START_S)
         take(browser, STATES / f"{name}.png", height, 0.5)
@@ -145,12 +151,6 @@ def recorder(endpoint: str) -> Iterator[None]:
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
             yield
             process.terminate()
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 if __name__ == "__main__":
