@@ -11,16 +11,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from common.status import Report
-from services.radar_pi import registers as reg
-from services.radar_pi import signals
+from common.bus.status import Report
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.driver import Driver, RadarFrame
+from services.radar_pi.chip.exports import plan
+from services.radar_pi.chip.registers import Gsr0, Register
+from services.radar_pi.chip.schedule import WordSchedule
 from services.radar_pi.config import WaveformConfig
-from services.radar_pi.driver import Driver, RadarFrame
-from services.radar_pi.emulator import EmulatedChip
-from services.radar_pi.exports import plan
-from services.radar_pi.manual_clock import ManualClock
-from services.radar_pi.registers import Gsr0, Register
-from services.radar_pi.schedule import WordSchedule
+from services.radar_pi.emulator import signals
+from services.radar_pi.emulator.emulator import EmulatedChip
+from services.radar_pi.emulator.manual_clock import ManualClock
 
 DEFAULT = plan(WaveformConfig())
 SPEED_HZ = 50_000_000

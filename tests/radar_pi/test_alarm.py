@@ -25,7 +25,7 @@ def track(range_m: float, velocity_mps: float, *, approaching: bool, ago_s: floa
 
 def level(subject: Track, alarm: AlarmConfig = ALARM) -> str:
     ttc_s = time_to_collision_s(subject, TRACKING)
-    return alarm_level(subject, ttc_s, approached_s_ago(subject, NOW_NS), alarm, TRACKING.moving_mps)
+    return alarm_level(subject, ttc_s, alarm, TRACKING.moving_mps)
 
 
 @pytest.mark.parametrize(
@@ -46,20 +46,37 @@ def test_bands_of_an_approaching_track(range_m: float, velocity_mps: float, expe
     assert level(track(range_m, velocity_mps, approaching=True)) == expected
 
 
-@pytest.mark.parametrize(("ago_s", "expected"), [(0.3, "CAUTION"), (2.0, "CAUTION"), (2.1, "SAFE"), (None, "SAFE")])
-def test_came_close_and_stopped(ago_s: float | None, expected: str) -> None:
-    assert level(track(0.4, 0.05, approaching=False, ago_s=ago_s)) == expected
+@pytest.mark.parametrize(
+    ("range_m", "velocity_mps", "expected"),
+    [
+        (0.4, 0.0, "CAUTION"),  # appeared there and stands
+        (0.5, -0.12, "CAUTION"),  # creeps: too slow for the approach gate
+        (0.5, 0.14, "CAUTION"),
+        (0.4, 0.15, "SAFE"),  # it leaves
+        (0.4, -0.8, "SAFE"),  # fast: the approach gate decides
+        (0.51, 0.0, "SAFE"),
+    ],
+)
+def test_very_close_at_near_zero_velocity_is_flagged_regardless(
+    range_m: float, velocity_mps: float, expected: str
+) -> None:
+    for ago_s in (None, 0.3, 60.0):
+        assert level(track(range_m, velocity_mps, approaching=False, ago_s=ago_s)) == expected
 
 
-def test_the_fallback_is_for_near_and_slow_only_and_can_be_switched_off() -> None:
-    assert level(track(0.6, 0.0, approaching=False, ago_s=0.3)) == "SAFE"
-    assert level(track(0.4, 0.8, approaching=False, ago_s=0.3)) == "SAFE"  # it leaves
-    assert level(track(0.4, 0.0, approaching=False, ago_s=0.3), AlarmConfig(stopped_near_s=0.0)) == "SAFE"
+def test_the_flag_can_be_switched_off() -> None:
+    assert level(track(0.4, 0.0, approaching=False), AlarmConfig(flag_very_close=False)) == "SAFE"
+
+
+def test_the_last_approach_is_told() -> None:
+    assert approached_s_ago(track(1.0, 0.0, approaching=False), NOW_NS) is None
+    assert approached_s_ago(track(1.0, 0.0, approaching=False, ago_s=0.3), NOW_NS) == pytest.approx(0.3)
 
 
 @given(st.floats(0.0, 10.0), st.floats(-5.0, 5.0))
-def test_without_approach_nothing_alarms(range_m: float, velocity_mps: float) -> None:
-    assert level(track(range_m, velocity_mps, approaching=False)) == "SAFE"
+def test_without_approach_only_the_very_close_and_slow_alarms(range_m: float, velocity_mps: float) -> None:
+    flagged = range_m <= 0.5 and abs(velocity_mps) < TRACKING.moving_mps
+    assert level(track(range_m, velocity_mps, approaching=False)) == ("CAUTION" if flagged else "SAFE")
 
 
 @given(st.floats(0.01, 10.0), st.floats(-5.0, -0.16))

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.radar_accuracy import Truth, approach, settled_pipeline
+from benchmarks.radar.radar_accuracy import Truth, approach, settled_pipeline
 from common.config import load
 from common.messages import LEVELS, RadarTracks, worst
-from common.sim import bgt60
-from common.sim.crossing import yard_and_street
-from common.sim.model import Player, Scenario
-from common.sim.motion import Errand, Ride, line
-from common.sim.truth import RadarTruth, radar_targets
-from common.sim.world import world_at
 from services.radar_pi import pipeline as pipeline_module
 from services.radar_pi.config import RadarConfig
+from services.radar_pi.emulator.signals import simulator_waveform
 from services.radar_pi.pipeline import RadarPipeline
-from services.radar_pi.signals import simulator_waveform
+from spotter_sim import bgt60
+from spotter_sim.crossing import yard_and_street
+from spotter_sim.model import Player, Scenario
+from spotter_sim.motion import Errand, Ride, line
+from spotter_sim.truth import RadarTruth, radar_targets
+from spotter_sim.world import world_at
 
 CONFIG = RadarConfig()
 SHAPE = simulator_waveform(CONFIG.waveform)

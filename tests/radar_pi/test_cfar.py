@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from benchmarks.radar_accuracy import detection_rate, detection_theory, false_alarm_rate
-from benchmarks.radar_reference import cfar_hits, os_hits
+from benchmarks.radar.radar_accuracy import detection_rate, detection_theory, false_alarm_rate
+from benchmarks.radar.radar_reference import cfar_hits, os_hits
 from services.radar_pi.cfar import Hits, build_cfar
 from services.radar_pi.cfar_design import ca_scale, os_mean_ratio, os_p_fa, os_scale
 from services.radar_pi.config import CfarConfig

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from services.radar_pi.azimuth import PairAzimuth
 from services.radar_pi.cfar import Hits
 from services.radar_pi.config import AzimuthConfig, DetectionConfig
-from services.radar_pi.detection import Detection, Peaks, find_peaks, group
+from services.radar_pi.detection import Detection, Measured, Peaks, find_peaks, group
 from services.radar_pi.spectrum import unit_window
 
 CONFIG = DetectionConfig()
@@ -68,7 +68,9 @@ def peaks_at(values: list[tuple[float, float, float]], azimuth_rad: float = 0.0)
     range_m, velocity_mps, power_db = (np.array(column) for column in zip(*ordered, strict=True))
     rows, columns = np.round(range_m / 0.1).astype(int), np.round(velocity_mps / 0.16).astype(int)
     peaks = Peaks(rows, columns, rows.astype(float), columns.astype(float), power_db, power_db)
-    return group(peaks, range_m, velocity_mps, np.full(len(range_m), azimuth_rad), V_MAX_MPS, CONFIG)
+    unknown = np.full(len(range_m), np.nan)
+    measured = Measured(range_m, velocity_mps, np.full(len(range_m), azimuth_rad), unknown)
+    return group(peaks, measured, V_MAX_MPS, CONFIG)
 
 
 def test_trunk_and_limbs_are_one_body() -> None:

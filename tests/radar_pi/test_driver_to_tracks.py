@@ -6,14 +6,14 @@ from contextlib import closing
 
 import pytest
 
+from common.bus.status import Report
 from common.messages import RadarTracks
-from common.status import Report
-from services.radar_pi import signals
+from services.radar_pi.chip.driver import Driver
+from services.radar_pi.chip.exports import plan
 from services.radar_pi.config import RadarConfig
-from services.radar_pi.driver import Driver
-from services.radar_pi.emulator import EmulatedChip
-from services.radar_pi.exports import plan
-from services.radar_pi.manual_clock import START_S
+from services.radar_pi.emulator import signals
+from services.radar_pi.emulator.emulator import EmulatedChip
+from services.radar_pi.emulator.manual_clock import START_S
 from services.radar_pi.pipeline import RadarPipeline
 
 

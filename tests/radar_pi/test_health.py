@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from services.radar_pi.config import HealthConfig
-from services.radar_pi.health import Health, HealthMonitor, saturated_fraction
+from services.radar_pi.health import Health, HealthMonitor, Signals, chirp_spread_db, saturated_fraction
 
 CONFIG = HealthConfig(learn_frames=5, hold_frames=4, saturated_frames=4)
-GOOD = {"settled": True, "saturated": 0.0, "noise_floor_db": 16.0, "leakage_db": 60.0}
+GOOD = Signals(saturated=0.0, noise_floor_db=16.0, leakage_db=60.0)
 
 
-def watch(monitor: HealthMonitor, frames: int, **changed: float) -> list[Health]:
-    return [monitor.judge(**(GOOD | changed)) for _ in range(frames)]  # type: ignore[arg-type]
+def watch(monitor: HealthMonitor, frames: int, settled: bool = True, **changed: float) -> list[Health]:
+    return [monitor.judge(settled, replace(GOOD, **changed)) for _ in range(frames)]
 
 
 def learned(config: HealthConfig = CONFIG) -> HealthMonitor:
@@ -23,7 +25,7 @@ def learned(config: HealthConfig = CONFIG) -> HealthMonitor:
 
 
 def test_settling_is_degraded() -> None:
-    health = HealthMonitor(CONFIG).judge(False, 0.0, 16.0, 60.0)
+    health = HealthMonitor(CONFIG).judge(False, GOOD)
     assert (health.state, health.reason) == ("degraded", "settling: the background is not learned yet")
 
 
@@ -35,6 +37,7 @@ def test_settling_is_degraded() -> None:
         ({"leakage_db": 75.0}, "static clutter at the antenna +15 dB off its learned value: antenna covered"),
         ({"leakage_db": 40.0}, "static clutter at the antenna -20 dB off its learned value"),
         ({"saturated": 0.2}, "saturated: samples at the converter's limits"),
+        ({"chirp_spread_db": 12.0}, "interference: chirps of one frame differ by 12 dB"),
     ],
 )
 def test_a_lasting_deviation_is_degraded_with_its_reason(changed: dict[str, float], expected: str) -> None:
@@ -70,7 +73,7 @@ def test_known_values_need_no_learning() -> None:
 
 
 def test_the_drivers_note_is_passed_on() -> None:
-    health = learned().judge(True, 0.0, 16.0, 60.0, "interrupt line is dead: polling")
+    health = learned().judge(True, GOOD, "interrupt line is dead: polling")
     assert (health.state, health.reason) == ("degraded", "interrupt line is dead: polling")
 
 
@@ -78,3 +81,11 @@ def test_saturation_counts_both_ends() -> None:
     frame = np.full((1, 2, 50), 2048, np.uint16)
     frame[0, 0, :3], frame[0, 1, :2] = 0, 4095
     assert saturated_fraction(frame) == pytest.approx(0.05)
+
+
+def test_the_spread_of_the_chirps_is_told_in_db() -> None:
+    moving = np.ones((2, 10, 5), np.complex64)
+    assert chirp_spread_db(moving) == pytest.approx(0.0)
+    moving[:, 5:] *= 10.0
+    assert chirp_spread_db(moving) == pytest.approx(20.0)
+    assert chirp_spread_db(np.zeros((2, 10, 5), np.complex64)) == 0.0

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.radar_accuracy import Truth, accuracy, approach, settled_pipeline, tracks_on_noise
+from benchmarks.radar.radar_accuracy import Truth, accuracy, approach, settled_pipeline, tracks_on_noise
 from common.codec import decode, encode
-from common.messages import RadarDetections, RadarTracks
-from common.sim.bgt60 import LEAKAGE, Target, simulate
+from common.messages import Motion, RadarDetections, RadarTracks
 from common.topics import RADAR_DETECTIONS, RADAR_TRACKS
 from services.radar_pi.config import CfarConfig, ProcessingConfig, RadarConfig
+from services.radar_pi.emulator.signals import simulator_waveform
 from services.radar_pi.pipeline import RadarPipeline
-from services.radar_pi.signals import simulator_waveform
+from spotter_sim.bgt60 import LEAKAGE, Target, simulate
 
 CONFIG = RadarConfig()
 SHAPE = simulator_waveform(CONFIG.waveform)
@@ -158,11 +158,11 @@ def test_a_saturated_receiver_is_noticed_and_still_alarms() -> None:
 
 
 def test_ego_speed_tells_a_wall_from_a_walker() -> None:
-    for ego_mps, moving in ((1.0, False), (None, True), (0.0, True)):
+    for motion, moving in ((Motion(1.0), False), (None, True), (Motion(0.0), True)):
         pipeline, start_ns = settled_pipeline(CONFIG)
         for i in range(6):
             scene = [*LEAKAGE, Target(3.0 - 0.1 * i, -1.0, amplitude_lsb=300.0)]
-            message = pipeline.process(start_ns + i * PERIOD_NS, simulate(scene, SHAPE, seed=i), ego_mps)
+            message = pipeline.process(start_ns + i * PERIOD_NS, simulate(scene, SHAPE, seed=i), motion)
         assert message.tracks[0].moving is moving
         assert message.tracks[0].approaching
 

@@ -109,7 +109,7 @@ def test_a_quiet_room_is_quiet() -> None:
 def test_a_seated_person_never_approaches() -> None:
     _, messages, _, _ = run(recording("seated_person_breathing"))
     assert not any(track.approaching for message in messages for track in message.tracks)
-    assert {message.level for message in messages} == {"SAFE"}
+    assert {message.level for message in messages} <= {"SAFE", "CAUTION"}  # 0.35 m: very close, whatever its speed
     nearest = [message.tracks[0].range_m for message in messages if message.tracks]
     assert len(nearest) > 200  # the chest moves, so the person is seen, and stands
     assert np.median(nearest) == pytest.approx(0.35, abs=0.06)
@@ -127,6 +127,8 @@ def test_a_hand_goes_to_and_fro_at_up_to_1_2_mps() -> None:
     signs = np.sign(hand)
     assert np.count_nonzero(signs[1:] != signs[:-1]) >= 2
     assert any(message.level == "IMMINENT" for message in messages[20:])
+    speeds = [abs(track.velocity_mps) for message in messages for track in message.tracks]
+    assert max(speeds) < 2.0  # nothing that stands is taken for its alias of 4.2 m/s
     assert all(track.azimuth_rad is None for message in messages for track in message.tracks)  # RX2 and RX3 only
 
 

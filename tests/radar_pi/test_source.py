@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
 import pytest
 
 from common import clock as clocks
+from common.bus.status import Report
 from common.config import ConfigError, load
-from common.messages import EgoMotion
-from common.pubsub import Received
-from common.sim import scenario_clock
-from common.status import Report
-from services.radar_pi import signals, source
+from services.radar_pi import source
 from services.radar_pi.config import RadarConfig, WaveformConfig
+from services.radar_pi.emulator import signals
 from services.radar_pi.recording import Recorder
-from services.radar_pi.source import EgoSpeed, open_source, with_waveform_of_source
+from services.radar_pi.source import open_source, with_waveform_of_source
+from spotter_sim import scenario_clock
 
 WAVEFORM = WaveformConfig(chirps=4, samples=32, frame_period_s=0.02)
 
@@ -45,7 +45,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> ManualTime:
     for module in (clocks, scenario_clock, source):
         monkeypatch.setattr(module, "monotonic_s", manual.monotonic_s)
         monkeypatch.setattr(module, "utc_ns", manual.utc_ns)
-    monkeypatch.setattr(source.time, "sleep", manual.sleep)
+    monkeypatch.setattr(source, "time", SimpleNamespace(sleep=manual.sleep))  # other threads sleep on
     return manual
 
 
@@ -136,28 +136,6 @@ def test_an_unplugged_or_silent_radar_is_disconnected_and_comes_back(clock: Manu
     assert snapshot.state == "disconnected"
     assert word in snapshot.reason
     assert clock.now_s - 50.0 == pytest.approx(4.0, abs=0.2)  # both faults of the scenario end at 54 s and 45 s
-
-
-class Subscription:
-    def __init__(self) -> None:
-        self.waiting: list[Received[EgoMotion]] = []
-
-    def take(self) -> list[Received[EgoMotion]]:
-        taken, self.waiting = self.waiting, []
-        return taken
-
-
-def test_ego_speed_counts_while_it_is_fresh(clock: ManualTime) -> None:
-    subscription = Subscription()
-    ego = EgoSpeed(subscription)  # type: ignore[arg-type]
-    assert ego.now_mps() is None
-    message = EgoMotion(stamp_ns=1, speed_mps=1.5, yaw_rate_radps=None)
-    subscription.waiting = [Received("k", message, clock.monotonic_s(), 0)]
-    assert ego.now_mps() == 1.5
-    clock.sleep(0.4)
-    assert ego.now_mps() == 1.5
-    clock.sleep(0.2)
-    assert ego.now_mps() is None
 
 
 def test_waveforms_for_simulator_and_axes_agree() -> None:

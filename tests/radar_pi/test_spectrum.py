@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.radar_reference import hann, power_map, range_profiles, remove_background
+from benchmarks.radar.radar_reference import hann, power_map, range_profiles, remove_background
 from services.radar_pi.clutter import Clutter
 from services.radar_pi.config import WaveformConfig
 from services.radar_pi.spectrum import RangeDoppler, mean_power, unit_window

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from common.sim.bgt60 import LEAKAGE, Target, simulate
 from services.radar_pi.__main__ import app
 from services.radar_pi.config import WaveformConfig
+from services.radar_pi.emulator.signals import simulator_waveform
 from services.radar_pi.recording import Recorder, open_recording
-from services.radar_pi.signals import simulator_waveform
+from spotter_sim.bgt60 import LEAKAGE, Target, simulate
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.radar_pi import registers as reg
-from services.radar_pi.registers import Field, Fstat, Gsr0, Register
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.registers import Field, Fstat, Gsr0, Register
 
 FIELDS = [value for value in vars(reg).values() if isinstance(value, Field)]
 FIELDS += [*reg.RX_EN, *reg.VGA_GAIN, *reg.HPF_SEL]

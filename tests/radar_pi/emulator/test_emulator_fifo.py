@@ -8,15 +8,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from services.radar_pi import registers as reg
-from services.radar_pi import signals
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.exports import plan
+from services.radar_pi.chip.packing import lfsr_sequence, pack_frame, unpack_words
+from services.radar_pi.chip.registers import Fstat, Gsr0, Register
+from services.radar_pi.chip.schedule import WordSchedule
+from services.radar_pi.chip.waveform import CLOCK_HZ
 from services.radar_pi.config import WaveformConfig
-from services.radar_pi.emulator import FAULTS, EmulatedChip
-from services.radar_pi.exports import plan
-from services.radar_pi.packing import lfsr_sequence, pack_frame, unpack_words
-from services.radar_pi.registers import Fstat, Gsr0, Register
-from services.radar_pi.schedule import WordSchedule
-from services.radar_pi.waveform import CLOCK_HZ
+from services.radar_pi.emulator import signals
+from services.radar_pi.emulator.emulator import FAULTS, EmulatedChip
 
 SMALL = WaveformConfig(samples=32, chirps=8, sample_rate_hz=2e6, chirp_period_s=0.2e-3, frame_period_s=5e-3)
 FAST = 8 * 4 / 50e6  # one register access

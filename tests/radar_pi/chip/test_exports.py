@@ -9,10 +9,10 @@ import msgspec
 import pytest
 
 from common.config import ConfigError
-from services.radar_pi import registers as reg
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.exports import parse_registers, plan
+from services.radar_pi.chip.registers import Register
 from services.radar_pi.config import WaveformConfig
-from services.radar_pi.exports import parse_registers, plan
-from services.radar_pi.registers import Register
 
 
 def _register_file(export) -> str:

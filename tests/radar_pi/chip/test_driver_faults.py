@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from common.config import ConfigError
-from services.radar_pi import registers as reg
-from services.radar_pi.chip import RadarFault
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.chip import RadarFault
+from services.radar_pi.chip.driver import Driver
+from services.radar_pi.chip.exports import plan
 from services.radar_pi.config import RadarConfig, WaveformConfig
-from services.radar_pi.driver import Driver
-from services.radar_pi.emulator import EmulatedChip
-from services.radar_pi.exports import plan
+from services.radar_pi.emulator.emulator import EmulatedChip
 from services.radar_pi.spi_source import keep_open, link_opener, open_spi
 
 DEFAULT = plan(WaveformConfig())

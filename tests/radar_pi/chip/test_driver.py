@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from common.config import ConfigError
-from services.radar_pi import registers as reg
-from services.radar_pi.chip import ChipRefused, RadarFault
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.chip import ChipRefused, RadarFault
+from services.radar_pi.chip.driver import Driver
+from services.radar_pi.chip.exports import plan
+from services.radar_pi.chip.packing import Layout
+from services.radar_pi.chip.registers import Register
+from services.radar_pi.chip.schedule import burst_words
 from services.radar_pi.config import WaveformConfig
-from services.radar_pi.driver import Driver
-from services.radar_pi.emulator import EmulatedChip
-from services.radar_pi.exports import plan
-from services.radar_pi.packing import Layout
-from services.radar_pi.registers import Register
-from services.radar_pi.schedule import burst_words
+from services.radar_pi.emulator.emulator import EmulatedChip
 
 DEFAULT = plan(WaveformConfig())
 SPEED_HZ = 50_000_000

@@ -13,12 +13,12 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from common.status import Report
+from common.bus.status import Report
+from services.radar_pi.chip.driver import Driver
+from services.radar_pi.chip.exports import plan
+from services.radar_pi.chip.hardware import HardwareError, SpiLink
 from services.radar_pi.config import SpiConfig, WaveformConfig
-from services.radar_pi.driver import Driver
-from services.radar_pi.emulator import EmulatedChip
-from services.radar_pi.exports import plan
-from services.radar_pi.hardware import HardwareError, SpiLink
+from services.radar_pi.emulator.emulator import EmulatedChip
 
 SMALL = plan(WaveformConfig(samples=64, chirps=16, sample_rate_hz=2e6, chirp_period_s=0.2e-3, frame_period_s=0.02))
 
@@ -87,6 +87,9 @@ def libraries(monkeypatch, chip):
         return made.lines
 
     gpiod.request_lines = request_lines
+    labels = {"/dev/gpiochip0": "gpio-brcmstb@107d508500", "/dev/gpiochip4": "pinctrl-rp1"}
+    monkeypatch.setattr("services.radar_pi.chip.hardware.labels", lambda _: labels)
+    made.labels = labels
     spidev.SpiDev = lambda: made.bus
     for name, module in {"spidev": spidev, "gpiod": gpiod, "gpiod.line": line}.items():
         monkeypatch.setitem(sys.modules, name, module)
@@ -94,12 +97,12 @@ def libraries(monkeypatch, chip):
 
 
 def test_frames_come_through_spidev_and_gpiod(libraries, clock, chip, monkeypatch) -> None:
-    monkeypatch.setattr("services.radar_pi.hardware.monotonic_s", clock.monotonic_s)
+    monkeypatch.setattr("services.radar_pi.chip.hardware.monotonic_s", clock.monotonic_s)
     link = SpiLink(SpiConfig())
     assert libraries.bus.opened == (0, 0)
     assert libraries.bus.max_speed_hz == 50_000_000
     ((path, consumer, config),) = libraries.requests
-    assert (path, consumer) == ("/dev/gpiochip0", "spotter-radar")
+    assert (path, consumer) == ("/dev/gpiochip4", "spotter-radar")  # the header's, though it is not the first
     assert config == {
         12: {"direction": "out", "output_value": "active"},
         25: {"direction": "in", "edge_detection": "rising"},
@@ -117,7 +120,7 @@ def test_lines_held_by_somebody_else_close_the_bus(libraries, monkeypatch) -> No
         raise OSError(16, "Device or resource busy")
 
     monkeypatch.setattr(sys.modules["gpiod"], "request_lines", busy)
-    with pytest.raises(HardwareError, match="GPIO 12, 25 of /dev/gpiochip0: Device or resource busy; does another"):
+    with pytest.raises(HardwareError, match="GPIO 12, 25 of /dev/gpiochip4: Device or resource busy; does another"):
         SpiLink(SpiConfig())
     assert libraries.bus.closed
 
@@ -136,3 +139,16 @@ def test_a_bus_that_is_not_there_says_what_to_do(libraries, monkeypatch, error: 
     monkeypatch.setattr(libraries.bus, "open", refuse)
     with pytest.raises(HardwareError, match=text):
         SpiLink(SpiConfig())
+
+
+def test_without_a_header_the_chips_are_named(libraries) -> None:
+    libraries.labels.clear()
+    libraries.labels["/dev/gpiochip0"] = "tegra234-gpio"
+    with pytest.raises(HardwareError, match=r'found /dev/gpiochip0 \(tegra234-gpio\); name it: \[spi\] gpio_chip = "'):
+        SpiLink(SpiConfig())
+    assert libraries.bus.closed
+
+
+def test_a_path_is_taken_as_it_is(libraries) -> None:
+    SpiLink(SpiConfig(gpio_chip="/dev/gpiochip7"))
+    assert libraries.requests[0][0] == "/dev/gpiochip7"

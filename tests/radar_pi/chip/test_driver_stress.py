@@ -8,12 +8,12 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from common.status import Report
+from common.bus.status import Report
+from services.radar_pi.chip.driver import Driver
+from services.radar_pi.chip.exports import plan
 from services.radar_pi.config import WaveformConfig
-from services.radar_pi.driver import Driver
-from services.radar_pi.emulator import EmulatedChip
-from services.radar_pi.exports import plan
-from services.radar_pi.manual_clock import START_S, ManualClock
+from services.radar_pi.emulator.emulator import EmulatedChip
+from services.radar_pi.emulator.manual_clock import START_S, ManualClock
 
 SMALL = plan(WaveformConfig(samples=32, chirps=16, sample_rate_hz=2e6, chirp_period_s=0.15e-3, frame_period_s=0.01))
 EVENTS = ("overflow", "underflow", "clock_error", "burst_error", "lost_words", "power_cycle")

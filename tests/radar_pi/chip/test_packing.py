@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from services.radar_pi.packing import (
+from services.radar_pi.chip.packing import (
     FrameAssembler,
     Layout,
     header_fields,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from services.radar_pi import registers as reg
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.exports import plan
+from services.radar_pi.chip.registers import Fstat, Gsr0, Register
 from services.radar_pi.config import WaveformConfig
-from services.radar_pi.exports import plan
-from services.radar_pi.registers import Fstat, Gsr0, Register
 
 
 @pytest.fixture

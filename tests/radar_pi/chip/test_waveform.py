@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.config import ConfigError
-from services.radar_pi import registers as reg
+from services.radar_pi.chip import registers as reg
+from services.radar_pi.chip.exports import mismatches, plan
+from services.radar_pi.chip.registers import Register
+from services.radar_pi.chip.waveform import CLOCK_HZ, register_list, timing_of, waveform_of
 from services.radar_pi.config import WaveformConfig
-from services.radar_pi.exports import mismatches, plan
-from services.radar_pi.registers import Register
-from services.radar_pi.waveform import CLOCK_HZ, register_list, timing_of, waveform_of
 
 
 def test_register_list_of_a_readable_waveform_is_the_exported_one_bit_for_bit(export) -> None:
