@@ -1,9 +1,10 @@
-"""Fixtures for every test: where the recordings are, free ports, a router on loopback."""
+"""Fixtures for every test: where the recordings are, free ports, a router on loopback, a site with certificates."""
 
 from __future__ import annotations
 
 import os
-import socket
+import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,17 +12,27 @@ import pytest
 import zenoh
 from hypothesis import HealthCheck, settings
 
+from common.bus.session import build, close_session, open_session
 from common.config import ZenohConfig
-from common.session import build
+from common.host.site import HostConfig, ServicePlace, Site
+from common.security import authority
+from common.security.router_config import laptop_config, router_config, with_certificate
+from spotter_tools.ports import free_port
 
 REPOSITORY = Path(__file__).parent.parent
+BUDGET_S = 20.0
+HOSTS = {
+    "pi0": ("radar", "blackbox"),
+    "jetson0": ("lidar", "camera", "fusion", "gate"),
+    "infra0": ("infra_lidar",),
+}
 
 # A shared machine is slow now and then: examples are bounded by number, not by time.
 settings.register_profile("spotter", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("spotter")
 
-# Whoever asks for one of these runs real processes or real Zenoh: such tests want the machine for themselves, unless
-# they say that they are patient.
+# A test with one of these fixtures runs real processes or real Zenoh. Such tests run two at a time at most
+# (marked `system` here), unless they are marked as patient.
 LIVE_FIXTURES = frozenset({
     "router_endpoint", "zenoh_config", "module_router", "browser", "start_dashboard_at", "spawn",
     "running_demo", "demo_json", "yard", "speaking",
@@ -53,12 +64,6 @@ def recordings() -> Callable[[str], Path]:
     return folder
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 @pytest.fixture
 def free_ports() -> Callable[[], int]:
     """Each call gives a TCP port that was free a moment ago."""
@@ -77,3 +82,110 @@ def router_endpoint() -> Iterator[str]:
 def zenoh_config(router_endpoint: str) -> ZenohConfig:
     """How a service under test reaches that router."""
     return ZenohConfig(connect=(router_endpoint,))
+
+
+def make_site(free: Callable[[], int], **services: tuple[str, ...]) -> Site:
+    """Hosts with these services, on loopback and free ports."""
+    hosts = {
+        host: HostConfig(local_port=free(), port=free(), services={name: ServicePlace() for name in names})
+        for host, names in services.items()
+    }
+    return Site(hosts=hosts, accept_simulated=True)
+
+
+@pytest.fixture
+def site(free_ports: Callable[[], int]) -> Site:
+    return make_site(
+        free_ports,
+        pi0=("radar",),
+        jetson0=("lidar", "camera", "fusion", "dashboard"),
+        infra0=("infra_lidar",),
+    )
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Certificates of pi0, jetson0, infra0 and laptop1."""
+    folder = tmp_path_factory.mktemp("site") / "keys"
+    authority.init(folder, "spotter")
+    for host in ("pi0", "jetson0", "infra0"):
+        authority.issue(folder, host, "host", ("127.0.0.1",))
+    authority.issue(folder, "laptop1", "laptop")
+    return folder
+
+
+def _until(condition: Callable[[], object], what: str = "the condition", *, budget_s: float = BUDGET_S) -> None:
+    deadline_s, pause = time.monotonic() + budget_s, threading.Event()
+    while not condition():
+        assert time.monotonic() < deadline_s, f"not within {budget_s:g} s: {what}"
+        pause.wait(0.005)
+
+
+@pytest.fixture(scope="session")
+def until() -> Callable[..., None]:
+    """``until(condition, what)`` polls until the condition is true and fails when the budget (20 s) is over."""
+    return _until
+
+
+class Yard:
+    """Three routers with rules and links, a client on each loopback, and what jetson0's client hears."""
+
+    def __init__(self, site: Site, keys: Path) -> None:
+        self.site, self.keys = site, keys
+        self.routers = {host: zenoh.open(build(router_config(site, host, keys))) for host in site.hosts}
+        self.clients = {host: self.client(host) for host in site.hosts}
+        self.heard: list[tuple[str, bytes]] = []
+        self.tokens: set[str] = set()
+        listener = self.client("jetson0")
+        self._kept = [
+            listener,
+            listener.declare_subscriber("**", lambda s: self.heard.append((str(s.key_expr), s.payload.to_bytes()))),
+            listener.liveliness().declare_subscriber("**", lambda s: self.tokens.add(str(s.key_expr)), history=True),
+        ]
+
+    def client(self, host: str) -> zenoh.Session:
+        config = ZenohConfig(namespace=self.site.namespace, connect=(self.site.host(host).loopback,))
+        return open_session(config, give_up_after_s=BUDGET_S)
+
+    def laptop(self, host: str = "jetson0") -> zenoh.Session:
+        return open_session(laptop_config(self.site, "laptop1", self.keys, host), give_up_after_s=BUDGET_S)
+
+    def named(self, name: str, keys: Path | None = None, host: str = "jetson0") -> ZenohConfig:
+        """A client of ``host``'s router, from outside, under any certificate."""
+        config = ZenohConfig(namespace=self.site.namespace, connect=(self.site.endpoint(host),))
+        return with_certificate(config, keys or self.keys, name)
+
+    def settle(self) -> None:
+        """What was sent before by anybody has arrived: a legitimate message from each remote host comes after it."""
+        for host, key in (("pi0", "pi0/radar/tracks"), ("infra0", "infra0/infra_lidar/tracks")):
+            mark = b"settled %d" % time.monotonic_ns()
+
+            def came_through(host: str = host, key: str = key, mark: bytes = mark) -> bool:
+                self.clients[host].put(key, mark)
+                return (key, mark) in self.heard
+
+            _until(came_through)
+
+    def hears(self, payload: bytes) -> bool:
+        self.settle()
+        return any(heard == payload for _, heard in self.heard)
+
+    def close(self) -> None:
+        for session in (self._kept[0], *self.clients.values(), *self.routers.values()):
+            close_session(session)
+
+
+@pytest.fixture(scope="module")
+def yard(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Yard]:
+    folder = tmp_path_factory.mktemp("yard") / "keys"
+    authority.init(folder, "spotter")
+    for host in HOSTS:
+        authority.issue(folder, host, "host", ("127.0.0.1",))
+    for laptop in ("laptop1", "thief"):
+        authority.issue(folder, laptop, "laptop")
+    authority.revoke(folder, "thief")
+    authority.issue(folder, "stranger", "host", ("127.0.0.1",))  # a valid certificate that no site file names
+    yard = Yard(make_site(free_port, **HOSTS), folder)
+    yard.settle()
+    yield yard
+    yard.close()

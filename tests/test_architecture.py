@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).parent.parent
+OURS = {"common", "services", "spotter_client", "spotter_sim", "spotter_tools"}
 DISTRIBUTION_OF = {
     "zenoh": "eclipse-zenoh",
     "serial": "pyserial",
@@ -25,32 +26,47 @@ DISTRIBUTION_OF = {
     "foxglove": "foxglove-sdk",
     "prometheus_client": "prometheus-client",
     "rerun": "rerun-sdk",
+    "can": "python-can",
 }
 
 # Which extras a file may count on, most specific folder or file first; everything else has the base only.
 EXTRAS_OF = {
-    "services/radar_pi/hardware.py": {"radar-pi", "radar-hw"},
+    "services/radar_pi/chip/hardware.py": {"radar-pi", "radar-hw"},
     "services/radar_pi/plot.py": {"radar-pi", "plot"},
     "services/radar_pi": {"radar-pi"},
-    "services/jetson/camera/train_demo_network.py": {"torch only: a script with its own header"},
+    "services/jetson/camera/training/train_demo_network.py": {"torch only: a script with its own header"},
+    "services/jetson/gate/can_output.py": {"jetson", "vehicle"},
+    "services/jetson/gate/gpio_lines.py": {"jetson", "vehicle"},
+    "services/jetson/ego/can_signals.py": {"jetson", "vehicle"},
+    "services/jetson/ego/devices.py": {"jetson", "vehicle"},
+    "services/jetson/ego/imu_chips.py": {"jetson", "vehicle"},
     "services/jetson": {"jetson"},
-    "services/infra_lidar/train.py": {"infra-lidar", "train"},
-    "services/infra_lidar/evaluate.py": {"infra-lidar", "train"},
+    "services/infra_lidar/input/bags.py": {"infra-lidar", "ros2"},
+    "services/infra_lidar/input/las.py": {"infra-lidar", "las"},
+    "services/infra_lidar/training/train.py": {"infra-lidar", "train"},
+    "services/infra_lidar/training/evaluate.py": {"infra-lidar", "train"},
+    "services/infra_lidar/training/article_features.py": {"infra-lidar", "train"},
     "services/infra_lidar/plot.py": {"infra-lidar", "plot", "jetson"},  # an MP4 where OpenCV happens to be
-    "services/infra_lidar/evaluate_plots.py": {"infra-lidar", "train"},
+    "services/infra_lidar/training/evaluate_plots.py": {"infra-lidar", "train"},
     "services/infra_lidar": {"infra-lidar"},
     "services/blackbox": {"record"},
     "common/recording/foxglove.py": {"record", "foxglove"},
     "common/recording/rerun_scene.py": {"record", "rerun"},
     "common/recording": {"record"},
+    "common/ros2": {"ros2"},
     "common/security/authority.py": {"keys"},
-    "common/plots": {"plot"},
-    "common/sim/camera.py": {"jetson"},
-    "common/sim/lidar128.py": {"infra-lidar"},
-    "common/compiled_from.py": {"infra-lidar"},
-    "common/processor.py": {"infra-lidar"},
+    "spotter_tools/cpm": {"cpm"},
+    "spotter_tools/plots": {"plot"},
+    "spotter_tools/prove": {"jetson", "radar-pi", "plot"},
+    "spotter_sim/backdrop.py": {"jetson"},
+    "spotter_sim/camera.py": {"jetson"},
+    "spotter_sim/lidar128.py": {"infra-lidar"},
+    "spotter_sim/lidar128_kernels.py": {"infra-lidar"},
 }
-SCRIPTS_OF_THEIR_OWN = {"services/jetson/camera/train_demo_network.py"}
+SCRIPTS_OF_THEIR_OWN = {
+    "services/jetson/camera/training/train_demo_network.py",
+    "services/jetson/gate/firmware/micropython/main.py",  # runs on the board
+}
 
 
 @cache
@@ -89,11 +105,19 @@ def imported_by(path: Path) -> set[str]:
             names |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
             names.add(node.module.split(".")[0])
-    return names - set(sys.stdlib_module_names) - {"common", "services", "spotter_client", "__future__"}
+    return (
+        names
+        - set(sys.stdlib_module_names)
+        - {"common", "services", "spotter_client", "spotter_sim", "spotter_tools", "__future__"}
+    )
 
 
 def our_files() -> list[str]:
-    found = [*REPOSITORY.glob("common/**/*.py"), *REPOSITORY.glob("services/**/*.py")]
+    found = [
+        *REPOSITORY.glob("common/**/*.py"),
+        *REPOSITORY.glob("services/**/*.py"),
+        *REPOSITORY.glob("spotter_*/**/*.py"),
+    ]
     return sorted(str(path.relative_to(REPOSITORY)) for path in found)
 
 
@@ -116,11 +140,11 @@ def own_imports(path: str) -> set[str]:
 @pytest.mark.parametrize("path", our_files())
 def test_a_file_imports_only_what_its_extra_declares(path: str) -> None:
     if path in SCRIPTS_OF_THEIR_OWN:
-        pytest.skip("a script with its own dependency header, run by hand only")
+        pytest.skip("a script that no service imports: run by hand, or on a board")
     used = {DISTRIBUTION_OF.get(name, name) for name in imported_by(REPOSITORY / path)}
     # The command line may look into optional packages when a command that needs them is called.
     undeclared = used - allowed_for(path)
-    if path.startswith("common/cli/"):
+    if path.startswith("spotter_tools/cli/"):
         undeclared -= required("laptop") | required("keys") | required("foxglove") | required("rerun")
     assert not undeclared, f"{path} imports {sorted(undeclared)}, which its extra does not declare"
 
@@ -135,8 +159,9 @@ def test_a_file_imports_only_what_its_extra_declares(path: str) -> None:
         ("services/jetson/dashboard/__main__.py", "jetson"),
         ("services/infra_lidar/__main__.py", "infra-lidar"),
         ("services/jetson/ego/__main__.py", "jetson"),
+        ("services/jetson/gate/__main__.py", "jetson"),
         ("services/blackbox/__main__.py", "record"),
-        ("common/cli/__main__.py", None),
+        ("spotter_tools/cli/__main__.py", None),
     ],
 )
 def test_a_service_starts_with_its_own_extra_alone(start: str, extra: str | None) -> None:
@@ -160,7 +185,7 @@ def test_a_service_starts_with_its_own_extra_alone(start: str, extra: str | None
                 else [node.module] if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module
                 else []
             )
-        } - set(sys.stdlib_module_names) - {"common", "services", "spotter_client"}  # fmt: skip
+        } - set(sys.stdlib_module_names) - OURS  # fmt: skip
         undeclared = {DISTRIBUTION_OF.get(name, name) for name in top_level} - declared
         assert not undeclared, f"{start} needs {path}, which imports {sorted(undeclared)} when it is loaded"
 
@@ -168,7 +193,7 @@ def test_a_service_starts_with_its_own_extra_alone(start: str, extra: str | None
 def test_nobody_else_owns_our_names() -> None:
     """``common`` and ``services`` are generic names: fail as soon as another distribution installs one of them."""
     owners = importlib.metadata.packages_distributions()
-    for name in ("common", "services", "spotter_client"):
+    for name in OURS:
         assert set(owners.get(name, ["spotter"])) == {"spotter"}
 
 
