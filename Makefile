@@ -19,11 +19,19 @@ demo: setup
 
 # Everything: what computes on all cores at once (three workers for two: one waits for a minute), then what runs a few
 # real processes, two tests at a time, then what runs whole systems. ARGS="-k word" or a path runs those tests by themselves.
+# $(call pytest,MARKS,OPTIONS): up to three tests that failed beside others that want the same two cores run once more,
+# by themselves, and have to pass there; the first failure stays in the output.
+define pytest
+@$(BIN)/pytest $(2) -m "$(1)" || { [ $$? -eq 1 ] && echo "  test: failed in company; once more, by themselves" && \
+	[ "$$($(BIN)/pytest -q --collect-only --last-failed --last-failed-no-failures none -m "$(1)" | grep -c ::)" -le 3 ] && \
+	$(BIN)/pytest --last-failed --last-failed-no-failures none -m "$(1)"; }
+endef
+
 test: setup
 ifeq ($(strip $(ARGS)),)
-	@$(BIN)/pytest -q --numprocesses 3 --dist loadfile --no-loadscope-reorder -m "not system and not netns"
-	@$(BIN)/pytest -q --numprocesses 2 --dist loadfile -m "system and not netns and not alone"
-	@$(BIN)/pytest -m "netns or alone"
+	$(call pytest,not system and not netns,-q --numprocesses 3 --dist loadfile --no-loadscope-reorder)
+	$(call pytest,system and not netns and not alone,-q --numprocesses 2 --dist loadfile)
+	$(call pytest,netns or alone,)
 else
 	@$(BIN)/pytest $(ARGS)
 endif
