@@ -45,7 +45,6 @@ EXTRAS_OF = {
     "services/infra_lidar/input/las.py": {"infra-lidar", "las"},
     "services/infra_lidar/training/train.py": {"infra-lidar", "train"},
     "services/infra_lidar/training/evaluate.py": {"infra-lidar", "train"},
-    "services/infra_lidar/training/article_features.py": {"infra-lidar", "train"},
     "services/infra_lidar/plot.py": {"infra-lidar", "plot", "jetson"},  # an MP4 where OpenCV happens to be
     "services/infra_lidar/training/evaluate_plots.py": {"infra-lidar", "train"},
     "services/infra_lidar": {"infra-lidar"},

@@ -8,6 +8,7 @@ from time import thread_time
 import numpy as np
 from sklearn.ensemble import RandomForestClassifier
 
+from benchmarks.article.costly_features import ARTICLE_SETS
 from benchmarks.article.flat_ground import flat_surface
 from benchmarks.article.neighbours import spacing_deviation
 from benchmarks.article.plain_infra_lidar import PlainPipeline, Tracker, features, find_clusters, ground_and_rest
@@ -22,11 +23,10 @@ from services.infra_lidar.clustering.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import ClassifierConfig
 from services.infra_lidar.segmentation.ground import Ground
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
-from services.infra_lidar.training.article_features import FEATURE_SETS
 from services.infra_lidar.training.train import flatten
 
 TRAINING_SCENES = 5
-NAMES = tuple(name for name in FEATURE_SETS["23"] if name != "hull_point_ratio")
+NAMES = tuple(name for name in ARTICLE_SETS["23"] if name != "hull_point_ratio")
 SPACING = "nn_dist_std"
 KIND_CLASS = {"car": 1, "bus": 2, "truck": 2, "cyclist": 3, "pedestrian": 4}
 START_NS = 1_700_000_000_000_000_000

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.article.costly_features import NEIGHBOURS
 from services.infra_lidar.jit import kernel
-from services.infra_lidar.training.article_features import NEIGHBOURS
 
 POINTS_A_CELL = 2.0
 

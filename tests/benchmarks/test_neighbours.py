@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.article import costly_features
 from benchmarks.article.neighbours import spacing_deviation
-from services.infra_lidar.training import article_features
 
 SHAPES = {
     "a ball": lambda rng, n: rng.normal(size=(n, 3)),
@@ -23,5 +23,5 @@ SHAPES = {
 def test_distances_are_those_of_the_tree(shape, n, seed):
     points = SHAPES[shape](np.random.default_rng(seed), n).astype(np.float32)
     offsets = np.array([0, n // 3, n]) if n >= 3 else np.array([0, n])
-    expected = article_features.spacing_deviation(points, offsets)
+    expected = costly_features.spacing_deviation(points, offsets)
     np.testing.assert_allclose(spacing_deviation(points, offsets), expected, atol=2e-5, rtol=1e-3)

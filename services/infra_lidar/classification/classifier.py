@@ -61,7 +61,7 @@ class Classifier:
         """Features and classes of K clusters above their local ground ``ground_z_m`` (K,), metres, level frame.
 
         Raises:
-            ValueError: ``forest`` needs a feature that only ``training/article_features.py`` computes.
+            ValueError: ``forest`` needs a feature that ``compute_features`` does not have.
         """
         return self.classify(compute_features(clusters.points, clusters.offsets, ground_z_m, self.feature_names))
 

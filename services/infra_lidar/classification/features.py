@@ -4,7 +4,7 @@ The definitions are those of the article's table (bonsai89/lidar-perception-pipe
 above the local ground instead of absolute, so that a cluster has the same features on a slope and in a centred file;
 their percentiles are counted in 256 bins, exact to a 255th of the cluster's height; and our own set has the fill of the
 hull seen from above and the extent of every height slice instead of the 3-D hull and the neighbour search. The
-article's costly features are in ``training/article_features.py``.
+article's costly features are in ``benchmarks/article/costly_features.py``.
 
 Every feature is finite for every cluster, a single point included: what cannot be computed is 0.
 """
@@ -21,7 +21,7 @@ ARTICLE_19: tuple[str, ...] = (
     "xy_aspect_ratio", "scattering", "linearity", "planarity",
     "layer_frac_0", "layer_frac_1", "layer_frac_2", "layer_frac_3", "layer_frac_4", "cross_section_var",
 )  # fmt: skip
-"""The article's set of 19 features, in its order; its smaller sets are the first of these."""
+"""The article's set of 19 features, in its order."""
 
 _OWN = (
     "x_range", "y_range", "z_median", "z_bottom", "z_top", "hull_fill", "range_m", "points_by_range",
@@ -33,7 +33,6 @@ _BANDS = tuple(name for name in BAND_NAMES if name not in FROM_RANGE)
 _SHAPE = (*ARTICLE_19, "cross_section_mean", "z_range_cleaned", *(n for n in _OWN if n not in FROM_RANGE), *_BANDS)
 
 FEATURE_SETS: dict[str, tuple[str, ...]] = {
-    **{str(size): ARTICLE_19[:size] for size in (9, 11, 13, 18, 19)},
     "spotter": (*_SHAPE, *FROM_RANGE),
     "shape": _SHAPE,
 }

@@ -22,9 +22,6 @@ Folder = Annotated[
     Path | None, typer.Argument(metavar="DIR", help="{train,test}/<class>/*.bin; without it generated scenes are used.")
 ]
 Scenes = Annotated[int, typer.Option("--scenes", min=2, help="Generated roadside scenes.")]
-FeatureSet = Annotated[
-    str, typer.Option("--features", help="A feature set; default: spotter for scenes, shape for a folder.")
-]
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -39,7 +36,6 @@ def train(
     output: Annotated[Path, typer.Option("--output", "-o", help="The model file.")] = Path("forest.npz"),
     scenes: Scenes = 136,
     bodies: Annotated[int, typer.Option("--bodies", min=0, help="Single generated bodies per class besides.")] = 3000,
-    features: FeatureSet = "",
     trees: Annotated[int, typer.Option("--trees", min=1)] = 48,
     leaves: Annotated[int, typer.Option("--leaves", min=2, help="Of a tree, at the most.")] = 1000,
 ) -> None:
@@ -48,13 +44,13 @@ def train(
     _needs_train()
     from services.infra_lidar.training.train import ForestSettings, train_forest, training_set
 
-    name = _feature_set(features, folder)
     if not output.parent.is_dir():
         raise ConfigError(f"--output {output}: no folder {output.parent}")
     clusters, weight, story = training_set(folder, scenes, bodies, TRAIN_SEED)
     log.info("training on %d clusters", len(clusters))
-    settings = ForestSettings(trees=trees, min_leaf=4, max_leaves=leaves, balanced=bool(folder))
-    forest = train_forest(clusters, name, story, settings, tell=_say, weight=weight)
+    settings = ForestSettings(trees, max_leaves=leaves, balanced=bool(folder))
+    features = "shape" if folder else "spotter"  # clusters in files are centred: they have no distance to the sensor
+    forest = train_forest(clusters, features, story, settings, tell=_say, weight=weight)
     try:
         forest.save(output)
     except OSError as error:
@@ -68,15 +64,14 @@ def evaluate(
     model: Annotated[Path, typer.Option("--model", help="Default: the model that is shipped.")] = SHIPPED_MODEL,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder for the pictures.")] = None,
     scenes: Scenes = 24,
-    ablate: Annotated[bool, typer.Option("--ablation", help="Train and judge every feature set.")] = False,
 ) -> None:
-    """Per-class table, confusion matrix, confidence and the ablation over feature sets, on groups not trained on."""
+    """Per-class table, confusion matrix and confidence, on groups not trained on."""
     setup_logging("infra_lidar")
     _needs_train()
     from services.infra_lidar.classification.features import FROM_RANGE
     from services.infra_lidar.classification.forest import ModelError, load_forest
     from services.infra_lidar.training import evaluate as evaluation
-    from services.infra_lidar.training.train import small_forest, test_set, training_set
+    from services.infra_lidar.training.train import test_set
 
     try:
         forest = load_forest(model)
@@ -87,21 +82,11 @@ def evaluate(
         _say(f"the model needs {', '.join(ranged)}, which centred clusters do not have: the figures are too low")
     result = evaluation.evaluate_forest(forest, test)
     _say(evaluation.class_table(result), "", evaluation.confusion_table(result))
-    rows = []
-    if ablate:
-        _say("", evaluation.ablation_head())
-        learn, _, _ = training_set(folder, scenes, 0, TRAIN_SEED)
-        for name, row in evaluation.ablation(learn, test, small_forest):
-            if not (folder and name == "spotter"):  # centred clusters have no range
-                rows.append((name, row))
-                _say(evaluation.ablation_row(name, row))
     if output:
         from services.infra_lidar.training import evaluate_plots
 
         evaluate_plots.draw_confusion(result, output / "confusion.png")
         evaluate_plots.draw_confidence(result, output / "confidence.png")
-        if rows:
-            evaluate_plots.draw_ablation(rows, output / "ablation.png")
         _say(f"pictures in {output}")
 
 
@@ -120,21 +105,6 @@ def plot(
 
     count = plot_source(load_config(InfraLidarConfig, *context.obj), output, frames, reach)
     _say(f"{count} frames drawn to {output}")
-
-
-def _feature_set(name: str, folder: Path | None) -> str:
-    """The set that is asked for, or the usual one.
-
-    Raises:
-        ConfigError: there is no such set, or it needs what clusters in files do not have.
-    """
-    from services.infra_lidar.training.article_features import FEATURE_SETS
-
-    known = [one for one in FEATURE_SETS if not (folder and one == "spotter")]
-    if name and name not in known:
-        why = " needs the distance to the sensor, which clusters in files do not have" if name == "spotter" else ""
-        raise ConfigError(f"--features {name}:{why or ' no such set'}; known: {', '.join(known)}")
-    return name or ("shape" if folder else "spotter")
 
 
 def _needs_train() -> None:

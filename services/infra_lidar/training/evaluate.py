@@ -1,23 +1,18 @@
-"""How good a forest is: per-class table, confusion, confidence and calibration, and the ablation over feature sets.
+"""How good a forest is: per-class table, confusion, confidence and calibration.
 
 Every figure is for clusters whose group (object or scene) the forest has not seen.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from services.infra_lidar.classification.classes import CLASSES
+from services.infra_lidar.classification.features import compute_features
 from services.infra_lidar.classification.forest import Forest
-from services.infra_lidar.training.article_features import FEATURE_SETS, compute_features
 from services.infra_lidar.training.clusters import LabelledClusters
-
-ARTICLE_SETS = ("9", "11", "13", "18", "19", "23", "35")
-# Macro F1 on the test set of the article's private data, four classes (its ablation table).
-ARTICLE_F1 = {"9": 0.731, "11": 0.777, "13": 0.779, "18": 0.799, "19": 0.800, "23": 0.815, "35": 0.822}
 
 
 @dataclass(frozen=True)
@@ -59,13 +54,6 @@ class Evaluation:
         """Share of all clusters that are called what they are."""
         return float(np.trace(self.confusion) / max(self.confusion.sum(), 1))
 
-    @property
-    def confidence_gap(self) -> float:
-        """Mean confidence where right less that where wrong, the article's measure of a set; NaN without both."""
-        if self.correct.all() or not self.correct.any():
-            return float("nan")
-        return float(self.confidence[self.correct].mean() - self.confidence[~self.correct].mean())
-
     def calibration_error(self, bins: int = 10) -> float:
         """Expected calibration error (Naeini et al. 2015): mean gap between confidence and share correct."""
         index = np.minimum((self.confidence * bins).astype(int), bins - 1)
@@ -88,15 +76,6 @@ def evaluate_forest(forest: Forest, clusters: LabelledClusters) -> Evaluation:
     """What a forest makes of clusters it should not have been trained on."""
     x = compute_features(clusters.points, clusters.offsets, clusters.ground_z_m, forest.features)
     return judge(forest.class_probabilities(x), clusters.labels)
-
-
-def ablation(
-    train: LabelledClusters, test: LabelledClusters, fit: Callable[[LabelledClusters, str], Forest],
-    sets: tuple[str, ...] = (*ARTICLE_SETS, "shape", "spotter"),
-) -> Iterator[tuple[str, Evaluation]]:  # fmt: skip
-    """One forest per feature set, trained and judged alike."""
-    for name in sets:
-        yield name, evaluate_forest(fit(train, name), test)
 
 
 def class_table(result: Evaluation) -> str:
@@ -122,22 +101,6 @@ def confusion_table(result: Evaluation) -> str:
     for c, name in enumerate(CLASSES):
         lines.append(f"{name:<15}" + "".join(f"{count:15d}" for count in result.confusion[c]))
     return "\n".join(lines)
-
-
-def ablation_row(name: str, result: Evaluation) -> str:
-    """A feature set: its name, how many features, F1 over all and per class, confidence gap, and the article's F1."""
-    article = f"{ARTICLE_F1[name]:.3f}" if name in ARTICLE_F1 else "-"
-    per_class = "".join(
-        f"{v:10.3f}" if there else f"{'-':>10}" for v, there in zip(result.f1, result.present, strict=True)
-    )
-    gap = f"{result.confidence_gap:8.3f}"
-    return f"{name:<10}{len(FEATURE_SETS[name]):4d}{result.macro_f1:10.3f}{per_class}{gap}{article:>12}"
-
-
-def ablation_head() -> str:
-    """The names of the columns of ``ablation_row``."""
-    names = "".join(f"{name[:9]:>10}" for name in CLASSES)
-    return f"{'set':<10}{'N':>4}{'macro F1':>10}{names}{'gap':>8}{'article':>12}"
 
 
 def _mean(values: np.ndarray) -> str:

@@ -1,4 +1,4 @@
-"""The pictures of an evaluation: confusion matrix, ablation, confidence. The only place here that needs matplotlib."""
+"""The pictures of an evaluation: confusion matrix and confidence. The only place here that needs matplotlib."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from services.infra_lidar.classification.classes import CLASSES
-from services.infra_lidar.training.evaluate import ARTICLE_F1, Evaluation
+from services.infra_lidar.training.evaluate import Evaluation
 
 
 def draw_confusion(result: Evaluation, path: Path) -> None:
@@ -25,22 +25,6 @@ def draw_confusion(result: Evaluation, path: Path) -> None:
     axes.set_xticks(range(len(CLASSES)), names)
     axes.set_yticks(range(len(CLASSES)), names)
     axes.set(xlabel="called", ylabel="true", title=f"macro F1 {result.macro_f1:.3f}")
-    _save(figure, path)
-
-
-def draw_ablation(rows: list[tuple[str, Evaluation]], path: Path) -> None:
-    """Macro F1 over the feature sets, beside the article's figures on its own data."""
-    figure = Figure(figsize=(7, 4), layout="constrained")
-    axes = figure.add_subplot()
-    names = [name for name, _ in rows]
-    axes.plot(range(len(rows)), [result.macro_f1 for _, result in rows], "o-", label="these clusters, 5 classes")
-    known = [place for place, name in enumerate(names) if name in ARTICLE_F1]
-    article = [ARTICLE_F1[names[place]] for place in known]
-    axes.plot(known, article, "s--", label="article, private data, 4 classes")
-    axes.set_xticks(range(len(rows)), names)
-    axes.set(xlabel="feature set", ylabel="macro F1 on unseen groups")
-    axes.grid(alpha=0.3)
-    axes.legend()
     _save(figure, path)
 
 

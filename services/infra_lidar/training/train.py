@@ -16,9 +16,9 @@ from sklearn.isotonic import IsotonicRegression
 from sklearn.model_selection import GroupKFold
 
 from services.infra_lidar.classification.classes import CLASSES
+from services.infra_lidar.classification.features import FEATURE_SETS, compute_features
 from services.infra_lidar.classification.forest import Forest
 from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.training.article_features import FEATURE_SETS, compute_features
 from services.infra_lidar.training.clusters import (
     LabelledClusters,
     join_clusters,
@@ -56,31 +56,23 @@ def test_set(folder: Path | None, scenes: int, seed: int) -> LabelledClusters:
     return scene_clusters(range(seed, seed + scenes), Steps.of(InfraLidarConfig()), frames=3)
 
 
-def small_forest(clusters: LabelledClusters, feature_set: str) -> Forest:
-    """The article's forest without limit on the leaves, for comparing feature sets."""
-    return train_forest(clusters, feature_set, {"source": "ablation"})
-
-
 CALIBRATION_POINTS = 33
 
 
 @dataclass(frozen=True)
 class ForestSettings:
-    """The article's are the defaults; ``max_leaves`` per tree bounds the file."""
+    """Of the forest and its trees; ``max_leaves`` of a tree bounds the file."""
 
-    trees: int = 100
+    trees: int = 48
     max_depth: int = 20
-    min_leaf: int = 5
-    max_leaves: int | None = None
+    min_leaf: int = 4
+    max_leaves: int = 1000
     seed: int = 42
     balanced: bool = True  # classes weigh the same in the trees; the calibration undoes it in the probabilities
 
 
-ARTICLE = ForestSettings()
-
-
 def train_forest(
-    clusters: LabelledClusters, feature_set: str, provenance: dict[str, Any], settings: ForestSettings = ARTICLE,
+    clusters: LabelledClusters, feature_set: str, provenance: dict[str, Any], settings: ForestSettings,
     tell: Callable[[str], object] | None = None, weight: np.ndarray | None = None,
 ) -> Forest:  # fmt: skip
     """Fit on all clusters, each of ``weight`` (K,); calibrate with predictions for groups that were left out.

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
-from scipy.spatial.distance import cdist
 
-from services.infra_lidar.training.article_features import FEATURE_SETS, compute_features
+from services.infra_lidar.classification.features import ARTICLE_19, FEATURE_NAMES, compute_features
 
-ALL = tuple(sorted({name for names in FEATURE_SETS.values() for name in names}))
+ALL = FEATURE_NAMES
 # What is told from heights in 255 bins, and by how many bins it may be off
 RANKED = {"z_25": 1, "z_median": 1, "z_75": 1, "z_range_cleaned": 2, "ground_gap_ratio": 2}
 
@@ -34,7 +31,6 @@ def reference(p: np.ndarray, ground: float) -> dict[str, float]:
     shares = np.array([np.mean(level == s) for s in range(5)])
     boxes = np.array([np.ptp(uv[level == s], axis=0) if np.sum(level == s) > 2 else (0.0, 0.0) for s in range(5)])
     diagonals = np.hypot(*boxes.T)
-    distance = np.sort(cdist(p, p), axis=1)
     return {
         "num_points": n, "xy_spread": spread, "xy_area": area, "z_range": tall, "height_to_footprint": tall / spread,
         "density": n / (area * np.sqrt(tall)), "z_25": rank[25] - ground, "z_75": rank[75] - ground,
@@ -49,8 +45,6 @@ def reference(p: np.ndarray, ground: float) -> dict[str, float]:
         "vertical_uniformity": shares.std(), "bottom_to_top_ratio": min(shares[0] / max(shares[4], 1e-6), 1e3),
         "ground_gap_ratio": (rank[10] - rank[5]) / tall, "z_bottom": z[0] - ground, "z_top": z[-1] - ground,
         "range_m": np.hypot(*p[:, :2].mean(axis=0)),
-        "nn_dist_std": distance[:, 1:6].mean(axis=1).std() if n > 6 else 0.0,
-        "hull_point_ratio": len(ConvexHull(p).vertices) / n if n > 10 else 1.0,
         **{f"slice_length_{s}": boxes[s, 0] for s in range(5)},
         **{f"slice_width_{s}": boxes[s, 1] for s in range(5)},
     }  # fmt: skip
@@ -100,13 +94,6 @@ def test_percentiles_are_off_by_a_bin_of_height_at_most(heights: list[float], ro
     assert z.min() - 1e-5 <= got.min() <= got.max() <= z.max() + 1e-5
 
 
-def test_the_feature_sets_have_the_sizes_of_the_article() -> None:
-    for name in ("9", "11", "13", "18", "19", "23", "35"):
-        assert len(FEATURE_SETS[name]) == len(set(FEATURE_SETS[name])) == int(name)
-    order = [FEATURE_SETS[name] for name in ("9", "11", "13", "18", "19", "23", "35")]
-    assert all(large[: len(small)] == small for small, large in pairwise(order))
-
-
 def test_columns_come_in_the_order_asked_for() -> None:
     points, offsets = stacked([cluster(1, 50, (4, 2, 1.5), (10, 0))])
     got = compute_features(points, offsets, np.zeros(1), ("z_range", "num_points"))
@@ -120,16 +107,6 @@ def test_tiny_and_flat_clusters_are_finite(points: int) -> None:
     line = np.column_stack((np.arange(points), np.zeros(points), np.zeros(points))).astype(np.float32)
     flat, offsets = stacked([same, line])
     assert np.all(np.isfinite(compute_features(flat, offsets, np.zeros(2), ALL)))
-
-
-@pytest.mark.parametrize(("n", "groups"), [(40, 1), (40, 2), (60, 3)])
-def test_pieces_inside_a_cluster_are_counted(n: int, groups: int) -> None:
-    grid = np.stack(np.meshgrid(np.arange(n // groups) * 0.1, [0.0, 0.1], [0.0, 0.1]), -1).reshape(-1, 3)
-    parts = [grid + np.array([0.0, 5.0 * g, 0.0]) for g in range(groups)]
-    points, offsets = stacked([np.concatenate(parts).astype(np.float32)])
-    got = compute_features(points, offsets, np.zeros(1), ("n_components", "largest_component_ratio"))
-    assert got[0, 0] == groups
-    assert got[0, 1] == pytest.approx(1 / groups)
 
 
 def test_hull_fill_is_no_less_than_what_the_convex_hull_covers_and_not_much_more() -> None:
@@ -200,7 +177,7 @@ def test_hull_fill_is_that_of_the_lines_that_support_it(
 def test_place_heading_and_slope_of_the_road_do_not_matter(
     seed: int, n: int, x: float, y: float, lift: float, turn: float
 ) -> None:
-    names = FEATURE_SETS["19"]
+    names = ARTICLE_19
     one = cluster(seed, n, (3.0, 1.0, 1.5), (0.0, 0.0))
     c, s = np.cos(turn), np.sin(turn)
     moved = one @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T + [x, y, lift]
@@ -227,20 +204,4 @@ def test_what_does_not_fit_is_refused(
 
 
 def test_no_cluster_is_no_row() -> None:
-    assert compute_features(np.empty((0, 3)), np.zeros(1), np.empty(0), FEATURE_SETS["35"]).shape == (0, 35)
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    seed=st.integers(0, 10_000), n=st.integers(7, 400), size=st.tuples(*[st.sampled_from([0.0, 0.01, 0.5, 12.0])] * 3)
-)
-def test_neighbours_are_exact_in_every_shape(seed: int, n: int, size: tuple[float, float, float]) -> None:
-    """Lines, plates, lumps with far outliers, doubled points: always the same as all pairs."""
-    rng = np.random.default_rng(seed)
-    points = (rng.uniform(0, 1, (n, 3)) ** rng.choice([1, 4]) * size).astype(np.float32)
-    points[: n // 5] = points[n // 2]
-    distance = np.sort(cdist(points.astype(float), points.astype(float)), axis=1)
-    expected = distance[:, 1:6].mean(axis=1).std()
-    flat, offsets = stacked([points])
-    got = compute_features(flat, offsets, np.zeros(1), ("nn_dist_std",))[0, 0]
-    assert got == pytest.approx(expected, rel=1e-3, abs=1e-5)
+    assert compute_features(np.empty((0, 3)), np.zeros(1), np.empty(0), ALL).shape == (0, len(ALL))

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from services.infra_lidar.classification.classes import CLASSES
 from services.infra_lidar.training.clusters import LabelledClusters
 from services.infra_lidar.training.commands import add_commands
-from services.infra_lidar.training.evaluate import ablation_row, class_table, confusion_table, judge
+from services.infra_lidar.training.evaluate import class_table, confusion_table, judge
 from services.infra_lidar.training.varied import generated_clusters
 
 
@@ -45,7 +45,6 @@ def test_tables_name_every_class_that_occurs() -> None:
     assert "large_vehicle" not in table
     assert "accuracy 0.500" in table
     assert all(name in confusion_table(result) for name in CLASSES)
-    assert ablation_row("23", result).split()[1] == "23"
 
 
 def write_folder(folder: Path, clusters: LabelledClusters) -> None:
@@ -69,7 +68,7 @@ def test_train_and_evaluate_a_folder(tmp_path: Path) -> None:
     assert run.exit_code == 0, run.output
     assert "8 trees" in run.output
     data = str(tmp_path / "data")
-    run = CliRunner().invoke(app, ["evaluate", data, "--model", str(model), "-o", str(pictures), "--ablation"])
+    run = CliRunner().invoke(app, ["evaluate", data, "--model", str(model), "-o", str(pictures)])
     assert run.exit_code == 0, run.output
     assert "macro" in run.output
-    assert sorted(path.name for path in pictures.iterdir()) == ["ablation.png", "confidence.png", "confusion.png"]
+    assert sorted(path.name for path in pictures.iterdir()) == ["confidence.png", "confusion.png"]

@@ -12,7 +12,7 @@ pytest.importorskip("sklearn", reason="needs the train extra")
 from sklearn.ensemble import RandomForestClassifier
 
 from services.infra_lidar.classification.classes import CLASSES
-from services.infra_lidar.training.article_features import FEATURE_SETS, compute_features
+from services.infra_lidar.classification.features import ARTICLE_19, compute_features
 from services.infra_lidar.training.clusters import (
     LabelledClusters,
     collect,
@@ -41,7 +41,7 @@ def test_the_arrays_decide_exactly_as_scikit_learn() -> None:
     y = (x[:, 0] + x[:, 1] ** 2 > 0.5).astype(int) + 2 * (x[:, 2] > 0)
     model = RandomForestClassifier(20, min_samples_leaf=2, random_state=1, n_jobs=1).fit(x, y)
     curve = np.tile(np.linspace(0, 1, 5, dtype=np.float32), (5, 1))
-    forest = flatten(model, FEATURE_SETS["9"][:6], curve, curve, {})
+    forest = flatten(model, ARTICLE_19[:6], curve, curve, {})
     fresh = np.concatenate((rng.normal(0, 2, (500, 6)).astype(np.float32), x))
     shares = forest.shares(fresh)
     np.testing.assert_allclose(shares[:, :4], model.predict_proba(fresh), atol=1e-6)

@@ -1,7 +1,6 @@
 """The article's costly features: spacing of neighbours, DBSCAN components and the 3-D hull.
 
-Only the comparison with the article and the ablation over feature sets use them; the shipped forest does not. Needs the
-``train`` extra (SciPy and scikit-learn).
+Spotter's forest uses none of them.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.classification import features as own
-from services.infra_lidar.classification.features import ARTICLE_19
+from services.infra_lidar.classification.features import ARTICLE_19, FEATURE_SETS
 
 NEIGHBOURS = 5
 _SET_23 = (*ARTICLE_19, "nn_dist_std", "cross_section_mean", "z_range_cleaned", "hull_point_ratio")
@@ -17,8 +16,14 @@ _REDUNDANT = (
     "x_range", "y_range", "bbox_volume", "z_median", "ev_norm_0", "ev_norm_1", "ev_norm_2", "vertical_uniformity",
     "bottom_to_top_ratio", "n_components", "largest_component_ratio", "ground_gap_ratio",
 )  # fmt: skip
-FEATURE_SETS: dict[str, tuple[str, ...]] = {**own.FEATURE_SETS, "23": _SET_23, "35": (*_SET_23, *_REDUNDANT)}
-"""All sets by name, the article's two largest included."""
+ARTICLE_SETS: dict[str, tuple[str, ...]] = {
+    **{str(size): ARTICLE_19[:size] for size in (9, 11, 13, 18, 19)},
+    "23": _SET_23,
+    "35": (*_SET_23, *_REDUNDANT),
+}
+"""The article's sets by their size; each begins with the one before it."""
+ALL_SETS = ARTICLE_SETS | FEATURE_SETS
+"""The article's sets and Spotter's own."""
 
 
 def compute_features(
