@@ -22,6 +22,7 @@ from common.message_types import (
     Name,
     NotNegative,
     SensorMessage,
+    Text,
     Vector3,
     check_shape,
 )
@@ -178,6 +179,8 @@ class CompressedImage(SensorMessage, kw_only=True):
 
     format: Literal["jpeg", "png"]
     data: Annotated[bytes, Meta(max_length=8_000_000)]
+    # What is written at the boxes, the nearest first.
+    captions: Annotated[list[Text], Meta(max_length=MAX_OBJECTS)] = msgspec.field(default_factory=list)
 
 
 # --- roadside lidar ---------------------------------------------------------------------------------------------

@@ -33,6 +33,7 @@ def picture(image: np.ndarray, seen: CameraDetections, zone: ZoneConfig, config:
         reason=seen.reason,
         format="jpeg",
         data=jpeg.tobytes(),
+        captions=[f"{caption(one)}{'' if one.in_zone else ' (beside)'}" for one in nearest_first(seen)],
     )
 
 
@@ -44,17 +45,21 @@ def draw(image: np.ndarray, seen: CameraDetections, zone: ZoneConfig, max_width_
     canvas = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if scale < 1 else image.copy()
     for edge_px in forward_zone(size[0], zone):
         cv2.line(canvas, (round(edge_px), 0), (round(edge_px), size[1]), _GREY, 1)
-    nearest_last = sorted(seen.detections, key=lambda d: -d.distance_m)
-    for detection in nearest_last:
+    for detection in reversed(nearest_first(seen)):  # the nearest box over the others
         left, top, right, bottom = _box(detection, scale)
         cv2.rectangle(canvas, (left, top), (right, bottom), _colour(detection), 2)
     taken: list[tuple[int, int, int, int]] = []
-    for detection in reversed(nearest_last):  # the nearest says its name where it wants
+    for detection in nearest_first(seen):  # the nearest says its name where it wants
         taken.append(_draw_caption(canvas, detection, scale, taken))
     if seen.state == "degraded":
         cv2.rectangle(canvas, (0, 0), (size[0], 24), _BLACK, cv2.FILLED)
         cv2.putText(canvas, f"DEGRADED {seen.reason}", (6, 17), _FONT, 0.5, LEVEL_BGR["CAUTION"], 1, cv2.LINE_AA)
     return canvas
+
+
+def nearest_first(seen: CameraDetections) -> list[CameraDetection]:
+    """The detections by distance."""
+    return sorted(seen.detections, key=lambda detection: detection.distance_m)
 
 
 def caption(detection: CameraDetection) -> str:

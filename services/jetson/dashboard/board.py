@@ -10,10 +10,10 @@ from typing import Any
 import msgspec
 
 from common.codec import to_builtins
-from common.messages import CameraDetections, CompressedImage, Message, SystemHealth, Verdict
+from common.messages import CompressedImage, Message, SystemHealth, Verdict
 
 HISTORY = 300
-PICTURES, DETECTIONS = 4, 32  # of each camera: a picture is asked for after its message was seen
+PICTURES = 16  # of each camera: a picture is asked for after its message was seen, over a slow link seconds later
 _ENCODER = msgspec.json.Encoder()
 
 
@@ -41,7 +41,6 @@ class Board:
         self._healths: deque[dict[str, Any]] = deque(maxlen=HISTORY)
         self._states: dict[str, tuple[str, str]] = {}
         self._pictures: dict[str, deque[CompressedImage]] = {}
-        self._detections: dict[str, deque[CameraDetections]] = {}
 
     def put(self, key: str, message: Message, arrived_s: float) -> None:
         """Hang up a message; changes of verdict and of sensor states go into the histories."""
@@ -53,15 +52,12 @@ class Board:
                 self._note_health(message)
             elif isinstance(message, CompressedImage):
                 self._pictures.setdefault(key, deque(maxlen=PICTURES)).append(message)
-            elif isinstance(message, CameraDetections):
-                self._detections.setdefault(key, deque(maxlen=DETECTIONS)).append(message)
 
     def image(self, key: str, stamp_ns: int | None = None) -> bytes | None:
-        """A JPEG of a camera topic: the one with this stamp while it is kept, else the newest."""
+        """A JPEG of a camera topic: the one with this stamp while it is kept; without a stamp the newest."""
         with self._lock:
-            kept = list(self._pictures.get(key, ()))
-        asked_for = [picture for picture in kept if picture.stamp_ns == stamp_ns]
-        return (asked_for or kept)[-1].data if kept else None
+            kept = reversed(self._pictures.get(key, ()))
+            return next((one.data for one in kept if stamp_ns in (None, one.stamp_ns)), None)
 
     def newest(self, suffix: str, now_s: float) -> list[tuple[str, Message, float]]:
         """(key, message, age in seconds) of every key that ends so, in the order of the keys."""
@@ -84,13 +80,14 @@ class Board:
             )
 
     def _content(self, key: str, entry: Entry) -> msgspec.Raw:
-        """A picture is fetched on its own, by its stamp; with it comes what was seen in this very picture."""
+        """A picture is fetched on its own, at its address; what is written in it is here.
+
+        The address is made here because JavaScript's numbers cannot hold a stamp: they would name another picture.
+        """
         if not isinstance(entry.message, CompressedImage):
             return entry.json()
-        stamp_ns = entry.message.stamp_ns
-        of_camera = self._detections.get(f"{key.rpartition('/')[0]}/detections", ())
-        seen = next((one for one in of_camera if one.stamp_ns == stamp_ns), None)
-        content = {"seq": entry.message.seq, "stamp_ns": stamp_ns, "seen": to_builtins(seen) if seen else None}
+        content = {name: value for name, value in to_builtins(entry.message).items() if name != "data"}
+        content["address"] = f"/api/image/{key.partition('/')[0]}?stamp={entry.message.stamp_ns}"
         return msgspec.Raw(_ENCODER.encode(content))
 
     def _note_verdict(self, verdict: Verdict) -> None:

@@ -128,7 +128,7 @@ class DashboardServer:
         stamp_ns = int(stamp) if stamp.isdecimal() and len(stamp) < 20 else None
         data = self._board.image(f"{request.path_params['host']}/camera/image", stamp_ns)
         if data is None:
-            return JSONResponse({"error": "no picture yet"}, 404)
+            return JSONResponse({"error": "no picture of this stamp" if stamp else "no picture yet"}, 404)
         return Response(data, media_type="image/jpeg")
 
     async def _tracks(self, request: Request) -> Response:

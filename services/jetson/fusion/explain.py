@@ -36,7 +36,11 @@ def held_words(claim: Claim, inputs: FusionInputs) -> str:
     state = "disconnected" if sensor is None else sensor.state
     if state != "online":
         return f"{said} and went {state}; nobody has seen the place free since"
-    return f"{said}; not yet gone for enough messages ({len(claim.since_seen)})"
+    count = len(claim.since_seen)
+    if count == 0:
+        return f"{said}; nobody has seen the place free since"
+    messages = "message" if count == 1 else f"{number_word(count)} messages"
+    return f"{said}; less or nothing in its last {messages}, too few to lower it"
 
 
 def list_claims(inputs: FusionInputs, claims: tuple[Claim, ...]) -> list[VerdictClaim]:

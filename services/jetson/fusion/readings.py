@@ -121,21 +121,27 @@ def read_camera(message: CameraDetections) -> Reading:
     ahead = [detection for detection in message.detections if detection.in_zone]
     if not ahead:
         return Reading(message.state, message.reason, message.level)
-    detection = _most_serious(ahead, lambda detection: (detection.level, detection.distance_m))
+    detection = _most_serious(ahead, lambda detection: (detection.level, near_end_m(detection)))
     deciding = {
         "label": detection.label,
         "confidence": detection.confidence,
         "distance_m": detection.distance_m,
+        "nearest_m": near_end_m(detection),
         "box_xyxy_px": list(detection.box_xyxy_px),
         "level": detection.level,
     }
     level = worst(*(d.level for d in ahead), *([message.level] if message.level else []))
     seen = _foremost(_box_sighting(one, message.image_size_px[0]) for one in ahead)
-    return Reading(message.state, message.reason, level, None, detection.distance_m, deciding, seen)
+    return Reading(message.state, message.reason, level, None, near_end_m(detection), deciding, seen)
+
+
+def near_end_m(detection: CameraDetection) -> float:
+    """Distance to the object's nearest side, by which its level goes; its middle where the sender tells no more."""
+    return detection.distance_m if detection.nearest_m is None else detection.nearest_m
 
 
 def _box_sighting(detection: CameraDetection, width_px: int) -> Sighting:
-    distance_m = detection.distance_m if detection.nearest_m is None else detection.nearest_m
+    distance_m = near_end_m(detection)
     left_px, _, right_px, _ = detection.box_xyxy_px
     aside = 0.5 - (left_px + right_px) / 2 / width_px if width_px else 0.0  # share of the width, to the left
     return Sighting(

@@ -73,7 +73,7 @@ def fuse(
     claims = note_use_of_camera(inputs, votes, claims, confirmed, rules)
     # 4. what the roadside sees, and the floors
     demands += [*roadside(inputs, votes, claims), *floors(inputs, rules)]
-    decided = decide(inputs, votes, demands, suppressed)
+    decided = decide(inputs, votes, claims, demands, suppressed)
     worst_ones = [demand for demand in demands if demand.level == decided.level]
     to_lower = way_down(inputs, worst_ones, claims, budget.spent, rules)
     verdict = explain(inputs, votes, decided, confirmed, suppressed, rules)
@@ -234,7 +234,9 @@ def blind_words(inputs: FusionInputs) -> str:
     return "blind: " + (", ".join(states) or "no sensor is fitted")
 
 
-def decide(inputs: FusionInputs, votes: Votes, demands: list[Demand], suppressed: bool) -> Demand:
+def decide(
+    inputs: FusionInputs, votes: Votes, claims: tuple[Claim, ...], demands: list[Demand], suppressed: bool
+) -> Demand:
     """The worst demand; among equals the camera's confirmation, then what is seen now, then the first."""
     if demands:
         return max(demands, key=lambda one: (RANK[one.level], one.rule == "R3-confirmed", not one.held))
@@ -243,9 +245,10 @@ def decide(inputs: FusionInputs, votes: Votes, demands: list[Demand], suppressed
         return Demand("SAFE", "R4-suppressed", text, "lidar")
     if inputs.abreast is not None and inputs.abreast.level == "SAFE":
         return Demand("SAFE", "R10-abreast", abreast_words(inputs.abreast), "radar")
-    if camera_alone(inputs, votes):
+    level = votes["camera"]
+    if level is not None and camera_alone(inputs, votes):
         clear = " and ".join(map(spoken, ranging(votes)))
-        text = f"{seen_by('camera', inputs.camera, votes['camera'])}, but {clear} are clear"
+        text = f"{camera_words(inputs, claims, level)}, but {clear} are clear"
         return Demand("SAFE", "R2-camera-only", text, "camera")
     online = [spoken(name) for name, sensor in inputs.sensors.items() if sensor.state == "online"]
     return Demand("SAFE", "R0-clear", f"{', '.join(online)} {'see' if len(online) > 1 else 'sees'} nothing near")

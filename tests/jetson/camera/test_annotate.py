@@ -56,6 +56,14 @@ def test_captions_say_at_most_for_cut_off_boxes() -> None:
     assert caption(cut) == "car <= 3.0 m"
 
 
+def test_the_message_has_the_captions_the_nearest_first() -> None:
+    far = msgspec.structs.replace(PERSON, distance_m=3.0, nearest_m=2.5, in_zone=False)
+    image = np.full((480, 640, 3), 90, np.uint8)
+    assert picture(image, seen(far, PERSON), ZoneConfig(), ImageConfig()).captions == [
+        "person 0.4 m", "person 2.5 m (beside)",
+    ]  # fmt: skip
+
+
 def test_captions_of_boxes_in_one_place_stand_below_each_other() -> None:
     """Each is legible: as many fields of the level's colour as there are boxes, whichever is the nearest."""
     near, far = (msgspec.structs.replace(PERSON, distance_m=m, nearest_m=m, level=level) for m, level in

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 
-from common.messages import CameraDetections, CompressedImage, SensorHealth, SystemHealth, Verdict
-from services.jetson.dashboard.board import HISTORY, Board
+from common.messages import CompressedImage, SensorHealth, SystemHealth, Verdict
+from services.jetson.dashboard.board import HISTORY, PICTURES, Board
 from services.jetson.dashboard.server import Wish, parse_wish
 
 
@@ -50,30 +50,26 @@ def test_histories_are_bounded() -> None:
 
 def test_a_picture_is_not_in_the_snapshot_but_beside_it() -> None:
     board = Board()
-    image = CompressedImage(stamp_ns=5, seq=3, format="jpeg", data=b"\xff\xd8" * 1000)
+    image = CompressedImage(stamp_ns=5, seq=3, format="jpeg", data=b"\xff\xd8" * 1000, captions=["car 5.2 m"])
     board.put("jetson0/camera/image", image, 0.0)
     snapshot = board.snapshot(0.0, {"*"})
     assert len(snapshot) < 500
-    assert json.loads(snapshot)["entries"]["jetson0/camera/image"]["message"] == {
-        "seq": 3, "stamp_ns": 5, "seen": None,
-    }  # fmt: skip
+    told = json.loads(snapshot)["entries"]["jetson0/camera/image"]["message"]
+    assert (told["seq"], told["captions"], "data" in told) == (3, ["car 5.2 m"], False)
     assert board.image("jetson0/camera/image") == image.data
     assert board.image("jetson1/camera/image") is None
 
 
-def test_a_picture_comes_by_its_stamp_and_with_what_was_seen_in_it() -> None:
-    board = Board()
-    for stamp_ns in range(1, 8):
-        seen = CameraDetections(
-            stamp_ns=stamp_ns, detections=[], brightness=float(stamp_ns), level=None, image_size_px=(1, 1)
-        )
-        board.put("jetson0/camera/detections", seen, 0.0)
-        if stamp_ns % 3 == 0:
-            image = CompressedImage(stamp_ns=stamp_ns, format="jpeg", data=b"%d" % stamp_ns)
-            board.put("jetson0/camera/image", image, 0.0)
-    entry = json.loads(board.snapshot(0.0, {"camera/image"}))["entries"]["jetson0/camera/image"]["message"]
-    assert (entry["stamp_ns"], entry["seen"]["brightness"]) == (6, 6.0)
-    assert [board.image("jetson0/camera/image", stamp_ns) for stamp_ns in (3, 6, 99, None)] == [b"3", b"6", b"6", b"6"]
+def test_a_picture_comes_by_its_stamp_or_not_at_all() -> None:
+    """The address has every digit of the stamp: a number of JavaScript would lose the last ones."""
+    board, first_ns = Board(), 1_764_098_400_123_456_789
+    for turn in range(2 * PICTURES):
+        image = CompressedImage(stamp_ns=first_ns + turn, format="jpeg", data=b"%d" % turn)
+        board.put("jetson0/camera/image", image, 0.0)
+    told = json.loads(board.snapshot(0.0, {"camera/image"}))["entries"]["jetson0/camera/image"]["message"]
+    assert told["address"] == f"/api/image/jetson0?stamp={first_ns + 2 * PICTURES - 1}"
+    kept = {ago: board.image("jetson0/camera/image", first_ns + 2 * PICTURES - 1 - ago) for ago in (0, 1, PICTURES)}
+    assert kept == {0: b"%d" % (2 * PICTURES - 1), 1: b"%d" % (2 * PICTURES - 2), PICTURES: None}
 
 
 def test_a_client_gets_what_it_asked_for_and_always_the_verdict() -> None:

@@ -238,3 +238,10 @@ def test_an_earlier_pictures_alarm_is_not_told_with_the_distance_of_this_one() -
     verdict = run.at(0.1, lidar=detected("IMMINENT", 0.4), camera=far)
     assert "8.9" not in verdict.because
     assert verdict.because.startswith("camera said IMMINENT at 0.40 m 0.1 s ago"), "its own word, not the lidar's"
+    alone = Run()
+    assert alone.at(0.0, camera=near).because == "camera IMMINENT at 0.40 m (person), but LiDAR and radar are clear"
+    assert alone.at(0.1, camera=far).because == (
+        "camera said IMMINENT at 0.40 m 0.1 s ago; less or nothing in its last message, too few to lower it, "
+        "but LiDAR and radar are clear"
+    )
+    assert "in its last two messages" in alone.at(0.2, camera=far).because

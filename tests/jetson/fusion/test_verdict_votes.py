@@ -53,5 +53,5 @@ def test_the_word_of_a_camera_that_is_gone_is_held() -> None:
 
 def test_of_equal_demands_what_is_seen_now_is_told() -> None:
     held, seen = Demand("CAUTION", "H1-held", "then", "lidar", held=True), Demand("CAUTION", "R1-worst-case", "now")
-    assert decide(inputs(), {}, [held, seen], False) is seen
-    assert decide(inputs(), {}, [seen, held], False) is seen
+    assert decide(inputs(), {}, (), [held, seen], False) is seen
+    assert decide(inputs(), {}, (), [seen, held], False) is seen
