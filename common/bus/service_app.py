@@ -12,7 +12,8 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, NoReturn, TypeVar
@@ -74,6 +75,31 @@ def load_config(config_type: type[C], path: Path | None, overrides: list[str] | 
     except ConfigError as error:
         sys.stderr.write(f"spotter: {error}\n")
         raise SystemExit(2) from None
+
+
+@contextmanager
+def told_in_a_line() -> Iterator[None]:
+    """For what a service's command does besides serving: a wrong configuration ends it with 2, a bad file with 1."""
+    try:
+        yield
+    except ConfigError as error:
+        sys.stderr.write(f"spotter: {error}\n")
+        raise SystemExit(2) from None
+    except OSError as error:
+        sys.stderr.write(f"spotter: {error.filename or ''}: {error.strerror or error}\n")
+        raise SystemExit(1) from None
+
+
+def check_output(path: Path, *endings: str) -> None:
+    """Before the work is done, so that it is not done in vain.
+
+    Raises:
+        ConfigError: there is no such folder, or the name has none of these endings (none given: any will do).
+    """
+    if not path.parent.is_dir():
+        raise ConfigError(f"{path}: no folder {path.parent}")
+    if endings and path.suffix not in endings:
+        raise ConfigError(f"{path}: the name has to end in {' or '.join(endings)}")
 
 
 def flag_as_command(arguments: list[str], command: str) -> list[str]:

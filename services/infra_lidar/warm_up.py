@@ -44,7 +44,7 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
 
     ``tell`` is called with a line of progress for people.
     """
-    first = "compiling kernels: on the first start on this machine, up to 40 s"
+    first = "compiling kernels: once on this machine, about a minute"
     tell("loading kernels" if DONE.exists() else first)
     watch, image = Stopwatch(), made_up_revolution()
     calibration = CalibrationConfig(frames=1, hypotheses=16)  # the made-up sensor stands level, the real one may not

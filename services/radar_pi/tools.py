@@ -12,7 +12,15 @@ from typing import Annotated, Any
 
 import typer
 
-from common.bus.service_app import ConfigOption, SetOption, SourceOption, load_config, setup_logging
+from common.bus.service_app import (
+    ConfigOption,
+    SetOption,
+    SourceOption,
+    check_output,
+    load_config,
+    setup_logging,
+    told_in_a_line,
+)
 from common.bus.status import Report
 from common.config import ConfigError
 from services.radar_pi.config import RadarConfig
@@ -49,18 +57,16 @@ def add_tools(app: typer.Typer) -> None:
             return
         setup_logging("radar")
         effective = load_config(RadarConfig, config, overrides, source)
-        try:
+        with told_in_a_line():
             if record is not None:
-                record_frames(effective, record, frames)
+                typer.echo(f"{record}: {record_frames(effective, record, frames)} frames")
             if plot is not None:
-                plot_frames(effective, plot, frames)
-        except ConfigError as error:
-            typer.echo(f"spotter: {error}", err=True)
-            raise typer.Exit(2) from None
+                typer.echo(f"{plot}: the last of {plot_frames(effective, plot, frames)} frames")
 
 
-def plot_frames(config: RadarConfig, path: Path, frames: int) -> None:
-    """Process so many frames of the source and draw the last one with the tracks' past."""
+def plot_frames(config: RadarConfig, path: Path, frames: int) -> int:
+    """Process so many frames of the source and draw the last one with the tracks' past; returns how many there were."""
+    check_output(path, ".png", ".svg", ".pdf")
     config = with_waveform_of_source(config)
     pipeline = RadarPipeline(config)
     source = open_source(config, Report("plot"))
@@ -68,12 +74,22 @@ def plot_frames(config: RadarConfig, path: Path, frames: int) -> None:
         pipeline.process(frame.stamp_ns, frame.samples, None, frame.epoch, frame.note)
         for frame in islice(source, frames)
     ]
+    if not history:
+        raise ConfigError(f"source {config.source}: not one frame came; {path} is not drawn")
     draw(path, pipeline.detections(), history)
+    return len(history)
 
 
-def record_frames(config: RadarConfig, path: Path, frames: int) -> None:
-    """Write so many frames of the source to a file; what is written stays readable when this is interrupted."""
+def record_frames(config: RadarConfig, path: Path, frames: int) -> int:
+    """Write so many frames of the source to a file; returns how many there were.
+
+    What is written stays readable when this is interrupted.
+    """
+    check_output(path)
     config = with_waveform_of_source(config)
+    source, count = open_source(config, Report("record")), 0
     with Recorder(path, config.waveform) as recorder:
-        for frame in islice(open_source(config, Report("record")), frames):
+        for frame in islice(source, frames):
             recorder.write(frame.stamp_ns, frame.received_ns, frame.samples)
+            count += 1
+    return count

@@ -72,7 +72,9 @@ def test_a_gif_has_every_frame(tmp_path: Path) -> None:
         assert moving.get_format_mimetype() == "image/gif"
 
 
-def test_the_flag_of_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_flag_of_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     config = recorded(tmp_path / "recording", 2)
     out = tmp_path / "flag.png"
     words = ["spotter-infra-lidar", "--plot", str(out), "--source", config.source, "--frames", "1", "--reach=20"]
@@ -80,6 +82,7 @@ def test_the_flag_of_the_command_line(tmp_path: Path, monkeypatch: pytest.Monkey
     with pytest.raises(SystemExit) as ending:
         main()
     assert ending.value.code == 0
+    assert capsys.readouterr().out == f"{out}: the last of 1 frames\n"
     assert out.read_bytes()[:4] == b"\x89PNG"
 
 

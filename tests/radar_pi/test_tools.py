@@ -36,6 +36,7 @@ def test_plot_draws_a_picture(recording: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     result = CliRunner().invoke(app, ["--source", f"file:{recording}?rate=0", "--plot", str(tmp_path / "out.png")])
     assert result.exit_code == 0, result.output
+    assert f"{tmp_path / 'out.png'}: the last of " in result.output
     width, height = png_size(tmp_path / "out.png")
     assert width > 800
     assert height > 400
@@ -46,6 +47,7 @@ def test_record_writes_what_the_source_gave(recording: Path, tmp_path: Path) -> 
     arguments = ["--source", f"file:{recording}?rate=0", "--record", str(copy), "--frames", "7"]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
+    assert f"{copy}: 7 frames" in result.output
     assert np.array_equal(open_recording(copy).frames, open_recording(recording).frames[:7])
 
 
@@ -54,6 +56,21 @@ def test_a_wrong_recording_ends_with_code_two_and_the_reason(tmp_path: Path) -> 
     result = CliRunner().invoke(app, ["--source", f"file:{tmp_path / 'x.radar'}", "--plot", str(tmp_path / "o.png")])
     assert result.exit_code == 2
     assert "SPOTRADR" in result.output
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "said"),
+    [
+        ("--plot", "none/out.png", "no folder"),
+        ("--plot", "out.xyz", "the name has to end in .png or .svg or .pdf"),
+        ("--record", "none/out.radar", "no folder"),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_said_before_the_work(
+    recording: Path, tmp_path: Path, option: str, name: str, said: str
+) -> None:
+    result = CliRunner().invoke(app, ["--source", f"file:{recording}?rate=0", option, str(tmp_path / name)])
+    assert (result.exit_code, said in result.output, len(result.output.splitlines())) == (2, True, 1), result.output
 
 
 def test_show_config_still_works() -> None:

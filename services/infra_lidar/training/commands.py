@@ -100,11 +100,15 @@ def plot(
 ) -> None:
     """Top view of the source: ground, clusters by class, tracks and their ways. `--plot OUTPUT` is the same."""
     setup_logging("infra_lidar")
-    from common.bus.service_app import load_config
+    from common.bus.service_app import load_config, told_in_a_line
     from services.infra_lidar.plot import plot_source
 
-    count = plot_source(load_config(InfraLidarConfig, *context.obj), output, frames, reach)
-    _say(f"{count} frames drawn to {output}")
+    with told_in_a_line():
+        config = load_config(InfraLidarConfig, *context.obj)
+        count = plot_source(config, output, frames, reach)
+        if count == 0:
+            raise ConfigError(f"source {config.source}: not one frame came; {output} is not drawn")
+        _say(f"{output}: {'the last of ' if output.suffix == '.png' else ''}{count} frames")
 
 
 def _needs_train() -> None:

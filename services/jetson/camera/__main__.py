@@ -10,6 +10,7 @@ from common.bus.look import add_look
 from common.bus.raw_tap import RawTap, changes
 from common.bus.runtime import Service
 from common.bus.service_app import service_app
+from common.bus.status import Report
 from common.messages import EgoMotion
 from common.topics import CAMERA_DETECTIONS, CAMERA_IMAGE, CAMERA_RAW, EGO_MOTION
 from services.jetson.camera.annotate import picture
@@ -25,6 +26,7 @@ from services.jetson.camera.training import calibrate
 def run(config: CameraConfig) -> bool:
     """Publish detections of each picture until the source or the process ends; False if not closed cleanly."""
     configured, config = config, fitted(config)
+    open_source(config, Report("camera"))  # a wrong source stops here, before a router is waited for
     pipeline = CameraPipeline(config)
     with Service("camera", config) as service:
         publish, publish_image = service.publisher(CAMERA_DETECTIONS), service.publisher(CAMERA_IMAGE)

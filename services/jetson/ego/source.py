@@ -41,7 +41,7 @@ def open_source(config: EgoConfig, report: Report | None = None) -> Iterator[tup
     Raises:
         ConfigError: no source, an unknown scheme or scenario, or a device that cannot be set up as it is written.
     """
-    urls = [parse_source(text, SCHEMES) for text in config.source.split(AND)]
+    urls = urls_of(config)
     period_s = 1.0 / config.rate_hz
     if any(url.scheme == "sim" for url in urls):
         if len(urls) > 1:
@@ -53,6 +53,15 @@ def open_source(config: EgoConfig, report: Report | None = None) -> Iterator[tup
     if len(set(origins)) < len(origins):
         raise ConfigError(f"source {config.source!r}: at most one of each kind")
     return measured(devices, config, report)
+
+
+def urls_of(config: EgoConfig) -> list[SourceUrl]:
+    """The source's parts, without opening any.
+
+    Raises:
+        ConfigError: no source, an unknown scheme or parameter.
+    """
+    return [parse_source(text, SCHEMES) for text in config.source.split(AND)]
 
 
 def _device(url: SourceUrl, config: EgoConfig, report: Report) -> Device:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from itertools import islice
 from pathlib import Path
 
 import typer
@@ -12,7 +11,7 @@ from common.bus.ego import EgoWatch
 from common.bus.look import add_look
 from common.bus.raw_tap import RawTap
 from common.bus.runtime import Service
-from common.bus.service_app import flag_as_command, load_config, service_app
+from common.bus.service_app import flag_as_command, load_config, service_app, told_in_a_line
 from common.bus.status import Report
 from common.clock import monotonic_s
 from common.messages import EgoMotion
@@ -26,6 +25,7 @@ from services.jetson.lidar.source import open_source
 
 def run(config: LidarConfig) -> bool:
     """Publish zones and scan of each revolution until the source or the process ends; False if not closed cleanly."""
+    open_source(config, Report("lidar"))  # a wrong source stops here, before a router is waited for
     pipeline = LidarPipeline(config)
     with Service("lidar", config) as service:
         publish_zones, publish_scan = service.publisher(LIDAR_ZONES), service.publisher(LIDAR_SCAN)
@@ -53,16 +53,14 @@ add_look(app, LidarConfig, looks)
 def plot(
     context: typer.Context,
     picture: Path,
-    scans: int = typer.Option(20, help="How many revolutions to look at; the last one is drawn."),
+    scans: int = typer.Option(20, min=1, help="How many revolutions to look at; the last one is drawn."),
 ) -> None:
     """Draw scan, lanes, zones and rejected points into a PNG file. `--plot FILE` is the same."""
-    from services.jetson.lidar.plot import draw, save
+    from services.jetson.lidar.plot import plot_scans
 
-    config = load_config(LidarConfig, *context.obj)
-    pipeline = LidarPipeline(config)
-    for stamp_ns, scan in islice(open_source(config, Report("plot")), scans):
-        zones = pipeline.process(stamp_ns, scan)
-        save(picture, draw(scan, pipeline.reject_reason, zones, config))
+    with told_in_a_line():
+        count = plot_scans(load_config(LidarConfig, *context.obj), picture, scans)
+        typer.echo(f"{picture}: the last of {count} turns")
 
 
 def main() -> None:

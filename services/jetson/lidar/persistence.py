@@ -88,7 +88,9 @@ class Silence:
         if last_ns is None or 0 <= stamp_ns - last_ns <= self._config.max_gap_s * 1e9:
             return False
         self._missing = self._config.raise_scans
-        self._text = f"no scan for {abs(stamp_ns - last_ns) * 1e-9:.1f} s: looking again"
+        step_s = (stamp_ns - last_ns) * 1e-9
+        what = f"no scan for {step_s:.1f} s" if step_s > 0 else f"the scans' time went back by {-step_s:.3f} s"
+        self._text = f"{what}: looking again"
         return True
 
     def reason(self, could_see: bool) -> str:

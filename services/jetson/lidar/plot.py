@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from common.bus.service_app import check_output
+from common.bus.status import Report
+from common.config import ConfigError
 from common.messages import LaserScan, LidarZones
 from services.jetson.lidar.config import LidarConfig
 from services.jetson.lidar.filters import RejectReason
+from services.jetson.lidar.pipeline import LidarPipeline
+from services.jetson.lidar.source import open_source
 from services.jetson.lidar.zones import LANES
 
 SIZE_PX = 900
@@ -25,6 +31,23 @@ COLOURS = {  # BGR
 }
 LEVEL_COLOURS = {"SAFE": (90, 160, 60), "CAUTION": (30, 150, 240), "IMMINENT": (50, 50, 220)}
 GREY = (150, 150, 150)
+
+
+def plot_scans(config: LidarConfig, path: Path, scans: int) -> int:
+    """Process so many turns of the source and draw the last one; returns how many there were.
+
+    Raises:
+        ConfigError: no turn came, or a picture cannot be made there.
+        OSError: it cannot be written.
+    """
+    check_output(path, ".png", ".jpg")
+    pipeline, count = LidarPipeline(config), 0
+    for stamp_ns, scan in islice(open_source(config, Report("plot")), scans):
+        zones, count = pipeline.process(stamp_ns, scan), count + 1
+    if count == 0:
+        raise ConfigError(f"source {config.source}: not one whole turn came; {path} is not drawn")
+    save(path, draw(scan, pipeline.reject_reason, zones, config))
+    return count
 
 
 def draw(
@@ -49,9 +72,7 @@ def save(path: Path, picture: np.ndarray) -> None:
     Raises:
         OSError: it cannot be written there.
     """
-    written, data = cv2.imencode(path.suffix or ".png", picture)
-    if not written:
-        raise OSError(f"{path}: cannot encode a picture of this kind")
+    _, data = cv2.imencode(path.suffix, picture)
     path.write_bytes(data.tobytes())
 
 
@@ -72,6 +93,12 @@ class _Canvas:
         x, y = np.array(corners_m).T
         cv2.polylines(self.image, [self.at(x, y)], len(corners_m) > 2, colour, width_px, cv2.LINE_AA)
 
+    def say(self, text: str, x_m: float, y_m: float, colour: tuple[int, int, int]) -> None:
+        """Right of a point."""
+        ((column, row),) = self.at(np.array([x_m]), np.array([y_m]))
+        place = (int(column) + 6, int(row) + 5)
+        cv2.putText(self.image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
+
 
 def _draw_lanes(canvas: _Canvas, zones: LidarZones, config: LidarConfig) -> None:
     half, side, ahead = config.zones.centre_width_m / 2, config.zones.side_width_m, config.zones.look_ahead_m
@@ -84,6 +111,8 @@ def _draw_lanes(canvas: _Canvas, zones: LidarZones, config: LidarConfig) -> None
             canvas.box([(zone.nearest_m, left), (zone.nearest_m, right)], LEVEL_COLOURS[zone.level], 4)
     for limit_m, level in ((config.zones.imminent_m, "IMMINENT"), (config.zones.caution_m, "CAUTION")):
         canvas.box([(limit_m, half + side), (limit_m, -half - side)], LEVEL_COLOURS[level], 1)
+        canvas.say(f"{level} up to {limit_m:g} m", limit_m, -half - side, GREY)
+    canvas.say(f"{ahead:g} m", ahead, -half - side, GREY)
     wide, long = config.mounting.vehicle_width_m / 2, config.mounting.vehicle_length_m
     canvas.box([(0, wide), (0, -wide), (-long, -wide), (-long, wide)], (0, 0, 0), 2)
 
@@ -103,7 +132,7 @@ def _draw_text(image: np.ndarray, reject_reason: np.ndarray, zones: LidarZones) 
         zone = getattr(zones, lane)
         lanes.append(f"{lane} " + ("free" if zone.nearest_m is None else f"{zone.nearest_m:.2f} m"))
     _line(image, 0, f"{zones.level}   " + "   ".join(lanes), LEVEL_COLOURS[zones.level])
-    _line(image, 1, f"{zones.state} {zones.reason}", (0, 0, 0))
+    _line(image, 1, f"{zones.state}: {zones.reason}" if zones.reason else zones.state, (0, 0, 0))
     column = 10
     for kind, colour in COLOURS.items():
         text = f"{kind.name.lower()} {np.count_nonzero(reject_reason == kind)}"

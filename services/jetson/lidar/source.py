@@ -51,15 +51,20 @@ REPLAY_DRIFT = 10.0  # a replay may run slower than the recording: stamps follow
 def open_source(
     config: LidarConfig, report: Report, raw: RawTap | Callable[..., None] = null_tap
 ) -> Iterator[tuple[int, LaserScan]]:
-    """Yield ``(stamp_ns, scan)`` as each revolution closes; ``raw`` gets the bytes.
+    """Give ``(stamp_ns, scan)`` as each revolution closes; ``raw`` gets the bytes. Nothing is opened before the first.
 
     Raises:
-        ConfigError: an unknown scheme or parameter, or a file that cannot be read.
+        ConfigError: at once for an unknown scheme or parameter or no such file; later for one that cannot be read.
     """
     url = parse_source(config.source, {name: tuple(params) for name, params in SCHEMES.items()})
-    if url.scheme == "ros2":
-        yield from _ros(url, config, report)
-        return
+    if url.scheme in ("file", "mcap") and not Path(url.target).exists():
+        raise ConfigError(f"source {url}: no such file")
+    return _ros(url, config, report) if url.scheme == "ros2" else _scans(url, config, report, raw)
+
+
+def _scans(
+    url: SourceUrl, config: LidarConfig, report: Report, raw: RawTap | Callable[..., None]
+) -> Iterator[tuple[int, LaserScan]]:
     true_pace = url.scheme in ("serial", "sim") or (url.scheme == "mcap" and url.number("rate", 1.0) in (0.0, 1.0))
     decoder = ScanDecoder(config, report, MAX_DRIFT if true_pace else REPLAY_DRIFT)
     recorded: list[Motion | None] = [None]  # of the piece of a recording that is read now

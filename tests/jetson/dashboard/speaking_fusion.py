@@ -54,8 +54,14 @@ class Fusion:
             state=self.sensor_state, reason="" if self.sensor_state == "online" else "lens blocked: 40 scans",  # type: ignore[arg-type]
             since_ns=time.time_ns(), age_ms=40.0, rate_hz=10.0, source_kind=self.source_kind,  # type: ignore[arg-type]
         )  # fmt: skip
-        clocks = {"pi0": ClockHealth(offset_ms=1.2, bound_ms=0.4, age_s=1.0, trusted=True)}
+        clock = ClockHealth(offset_ms=-10.25, bound_ms=1.42, age_s=1.0, trusted=True)
+        clocks = {"pi0/radar": clock, "infra0/infra_lidar": clock}
+        roadside = SensorHealth(
+            state="disconnected", reason="stale", since_ns=time.time_ns(), age_ms=None, rate_hz=0.0,
+            source_kind="simulated",
+        )  # fmt: skip
         return SystemHealth(
-            stamp_ns=time.time_ns(), sensors={"lidar": sensor, "radar": sensor, "camera": sensor},
+            stamp_ns=time.time_ns(),
+            sensors={"lidar": sensor, "radar": sensor, "camera": sensor, "infra_lidar": roadside},
             colour=self.colour, summary=self.summary, services={}, clocks=clocks,  # type: ignore[arg-type]
         )  # fmt: skip

@@ -64,6 +64,12 @@ def url(running: tuple[Fusion, Any]) -> str:
     return str(running[1].url)
 
 
+CUT_OFF = (
+    "[...document.querySelectorAll('.scroll, tbody tr')]"
+    ".filter((one) => one.scrollWidth > one.clientWidth + 1).map((one) => one.innerText)"
+)
+
+
 def keep_picture(browser: Any, name: str) -> None:
     if folder := os.environ.get("SPOTTER_SCREENSHOTS"):
         Path(folder).mkdir(parents=True, exist_ok=True)
@@ -260,6 +266,7 @@ def test_it_fits_every_screen_and_can_be_read(
     browser.wait(f"{text_of('level')} == 'CAUTION'")
     browser.wait("!!document.querySelector('#sensors tr')")
     assert browser.run("document.documentElement.scrollWidth <= window.innerWidth + 1"), "scrolls sideways"
+    assert browser.run(CUT_OFF) == [], "part of a table is out of sight"
     assert violations(browser) == []
     assert all(asked.startswith((url, url.replace("http", "ws"))) for asked in browser.requests)
     assert browser.complaints == []

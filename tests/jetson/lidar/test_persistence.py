@@ -123,3 +123,10 @@ def test_after_a_silence_three_scans_that_see_are_needed(could_see: list[bool], 
 def test_slow_scans_are_no_silence(gap_s: float) -> None:
     silence = Silence(PersistenceSection())
     assert not any(silence.ended(10**18 + round(n * gap_s * 1e9)) for n in range(5))
+
+
+def test_a_time_that_goes_back_is_told_as_such() -> None:
+    silence = Silence(PersistenceSection())
+    assert not silence.ended(10**9)
+    assert silence.ended(10**9 - 12_000_000)
+    assert silence.reason(could_see=False) == "the scans' time went back by 0.012 s: looking again"

@@ -13,12 +13,13 @@ import pytest
 
 from common.bus.status import Report
 from common.codec import decode, encode
+from common.config import ConfigError
 from common.messages import LEVELS, LaserScan, LidarZones
 from services.jetson.lidar.config import LidarConfig, PersistenceSection
 from services.jetson.lidar.decoder import ScanDecoder
 from services.jetson.lidar.parser import PACKET_BYTES
 from services.jetson.lidar.pipeline import LidarPipeline
-from services.jetson.lidar.plot import draw
+from services.jetson.lidar.plot import draw, plot_scans
 from spotter_sim import ld06
 from spotter_sim.truth import LIDAR_BANDS_M, band, lidar_zones
 from spotter_sim.world import SCENARIOS, world_at
@@ -166,5 +167,22 @@ def test_plot_writes_a_picture(tmp_path: Path, stream_of: Callable[..., bytes]) 
         "--source",
         f"file:{recording}?rate=0",
     ]
-    subprocess.run(command, check=True, timeout=60)
+    said = subprocess.run(command, check=True, timeout=60, capture_output=True, text=True).stdout
     assert picture.read_bytes().startswith(b"\x89PNG")
+    assert said == f"{picture}: the last of 4 turns\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("none/out.png", b"\x54", "no folder"),
+        ("out.xyz", b"\x54", "the name has to end in .png or .jpg"),
+        ("out.png", b"no packet of a lidar", "not one whole turn came"),
+    ],
+)
+def test_a_picture_that_cannot_be_drawn_is_refused(tmp_path: Path, name: str, content: bytes, said: str) -> None:
+    recording = tmp_path / "room.ld06"
+    recording.write_bytes(content)
+    with pytest.raises(ConfigError, match=said):
+        plot_scans(LidarConfig(source=f"file:{recording}?rate=0"), tmp_path / name, 5)
+    assert not (tmp_path / name).exists()

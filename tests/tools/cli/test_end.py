@@ -65,15 +65,21 @@ def test_what_could_not_be_written_is_a_failure() -> None:
     assert ended.returncode != 0
 
 
-@pytest.mark.parametrize("loaded", ["msgspec", "zenoh", "numpy"])
-def test_an_interrupt_while_it_is_still_being_loaded_is_quiet(loaded: str) -> None:
+HZ = ["-m", "spotter_tools.cli.entry", "hz", "*/*/*", "--connect", "tcp/127.0.0.1:1"]
+LIDAR = ["-c", "from services.entry import lidar; lidar()", "--show-config"]
+
+
+@pytest.mark.parametrize(
+    ("words", "loaded", "code"), [(HZ, "msgspec", 130), (HZ, "zenoh", 130), (HZ, "numpy", 130), (LIDAR, "numpy", 0)]
+)
+def test_an_interrupt_while_it_is_still_being_loaded_is_quiet(words: list[str], loaded: str, code: int) -> None:
     """As soon as a library of ours is mapped, its process is in the middle of the imports."""
-    command = [sys.executable, "-m", "spotter_tools.cli.entry", "hz", "*/*/*", "--connect", "tcp/127.0.0.1:1"]
+    command = [sys.executable, *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         maps = Path(f"/proc/{process.pid}/maps")
         while loaded not in maps.read_text():
             assert process.poll() is None
         process.send_signal(signal.SIGINT)
         said, complaint = process.communicate(timeout=30)
-    assert process.returncode == 130
+    assert process.returncode == code
     assert (said, complaint) == ("", "")
