@@ -21,6 +21,7 @@ from services.radar_pi.detection import Detection
 
 STILL_RAD = 0.3  # from frame to frame; noise of an echo 13 dB above its noise
 STILL_HALF_RAD = 0.15  # from the first to the second half of a frame: 8 mm/s
+FOLDED = 1.0 / 3.0  # of the folding range: what recedes beyond may be folded from up to 1 2/3 of that range
 STRONG = 20.0  # power of a static echo over that of its noise
 STILL_SIGMA_MPS = 0.01
 
@@ -96,21 +97,25 @@ class OwnSpeed:
 def fit(echoes: list[Detection], config: OwnSpeedConfig, axes: Axes) -> OwnMotion | None:
     """The speed that most echoes agree with; None when they are too few, or all in one direction.
 
-    Echoes in one direction may be one body that walks; in several directions only standing ones agree.
+    Echoes in one direction may be one body that walks; in several directions only standing ones agree. What comes
+    nearer from beyond the folding range shows up within it, going away: what goes away at a distance may contradict a
+    speed and never supports one. So a vehicle that reverses is known to only by what is near.
     """
     known = [one for one in echoes if one.azimuth_rad is not None]
     if len(known) < config.min_echoes:
         return None
     azimuth = np.array([one.azimuth_rad for one in known], float)
     radial = np.array([one.velocity_mps for one in known])
+    may_be_folded = (radial > 0.0) & (np.array([one.range_m for one in known]) > FOLDED * axes.fold_m)
     cosine = np.cos(azimuth)
     tolerance_mps = config.tolerance_bins * axes.velocity_bin_mps
     proposals = -radial / cosine
     misses = fold(radial[None, :] + proposals[:, None] * cosine[None, :], axes.v_max_mps)
-    agrees = np.abs(misses) <= tolerance_mps
+    agrees = (np.abs(misses) <= tolerance_mps) & ~may_be_folded
     best = agrees[int(np.argmax(agrees.sum(axis=1)))]
-    spread = float(np.ptp(azimuth[best]))
-    if best.sum() < config.min_echoes or best.mean() < config.min_share or spread < config.min_spread_rad:
+    if best.sum() < config.min_echoes or best.mean() < config.min_share:
+        return None
+    if np.ptp(azimuth[best]) < config.min_spread_rad:
         return None
     weight = cosine[best]
     speed = -float(radial[best] @ weight) / float(weight @ weight)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from common.bus.ego import motion_of
 from common.bus.status import Report
 from common.messages import EgoMotion, Message, Motion
-from common.topics import CAMERA_DETECTIONS, EGO_MOTION, LIDAR_ZONES, RADAR_TRACKS
+from common.topics import CAMERA_DETECTIONS, EGO_MOTION, LIDAR_ZONES, RADAR_MOTION, RADAR_TRACKS
 from services.jetson.camera.pipeline import CameraPipeline
 from services.jetson.lidar.decoder import ScanDecoder
 from services.jetson.lidar.pipeline import LidarPipeline
@@ -95,7 +95,9 @@ class Senses:
             return
         frame = bgt60.frame(self._scenario, begin_s, self._waveform)
         tracks = self._radar.process(utc_ns(begin_s), frame, self._motion_now)
-        yield self._arrival(now_s + self._delays.radar_s, RADAR_TRACKS.key(self._configs.radar.host), tracks)
+        host, at_s = self._configs.radar.host, now_s + self._delays.radar_s
+        yield self._arrival(at_s, RADAR_TRACKS.key(host), tracks)
+        yield self._arrival(at_s, RADAR_MOTION.key(host), self._radar.motion())
 
     def _picture(self, now_s: float) -> Iterator[Arrival]:
         width, height = PICTURE_PX
@@ -107,7 +109,11 @@ class Senses:
     def _motion(self, now_s: float) -> Iterator[Arrival]:
         measured = odometry.measure(self._scenario.at(now_s))
         message = EgoMotion(
-            stamp_ns=utc_ns(now_s), speed_mps=measured.speed_mps, yaw_rate_radps=measured.yaw_rate_radps
+            stamp_ns=utc_ns(now_s),
+            speed_mps=measured.speed_mps,
+            yaw_rate_radps=measured.yaw_rate_radps,
+            speed_sigma_mps=measured.speed_sigma_mps,
+            yaw_rate_sigma_radps=measured.yaw_rate_sigma_radps,
         )
         self._motion_now = motion_of(message, self._configs.radar.path)
         yield self._arrival(now_s + self._delays.ego_s, EGO_MOTION.key(self._configs.fusion.ego_host), message)

@@ -25,7 +25,7 @@ CONFIG = OwnSpeedConfig()
 AXES = derive_axes(RadarConfig().waveform)
 
 
-def body(velocity_mps: float, azimuth_rad: float | None, range_m: float = 4.0) -> Detection:
+def body(velocity_mps: float, azimuth_rad: float | None, range_m: float = 2.0) -> Detection:
     return Detection(range_m=range_m, velocity_mps=velocity_mps, azimuth_rad=azimuth_rad, snr_db=20.0)
 
 
@@ -61,8 +61,9 @@ def test_a_few_that_move_change_nothing(speed: float, azimuths: list[float], mov
         [body(-1.0, 0.05 * i) for i in range(4)],  # one walker, in four frames
         [body(-1.0, None) for _ in range(9)],  # one receiver: no azimuth
         [body(v, a) for v, a in ((-1.0, -0.5), (2.0, 0.0), (0.5, 0.5), (-3.0, 0.3), (1.5, -0.2), (3.0, 0.1))],
+        [body(2.0 * math.cos(a), a, 5.0) for a in (-0.5, -0.2, 0.1, 0.3, 0.6)],  # folded from 10 m: we drive at them
     ],
-    ids=["none", "too few", "one direction", "no azimuth", "no agreement"],
+    ids=["none", "too few", "one direction", "no azimuth", "no agreement", "folded"],
 )
 def test_what_is_no_evidence_gives_none(echoes: list[Detection]) -> None:
     assert fit(echoes, CONFIG, AXES) is None
@@ -124,6 +125,18 @@ def test_in_the_yard_what_it_says_is_right_and_it_knows_that_it_stands() -> None
     assert np.median(errors) < 0.1
     assert all(error < 4 * sigma for error, (_, _, sigma) in zip(errors, known, strict=True))
     assert not [speed for _, speed, _ in known if abs(speed) < 0.1]
+
+
+def test_far_walls_that_fold_back_are_no_driving_in_reverse() -> None:
+    """In this bend of yard 1 the walls beyond 7.5 m show up at 5 to 6 m, going away."""
+    known = [speed for _, speed, _ in driven(drive(2.0, 1), 5.0, 18) if speed is not None]
+    assert not [speed for speed in known if speed < 0.0]
+
+
+def test_things_near_that_go_away_are_driving_in_reverse() -> None:
+    own = fit([body(1.0 * math.cos(a), a, 2.0) for a in (-0.5, -0.2, 0.1, 0.3, 0.6)], CONFIG, AXES)
+    assert own is not None
+    assert own.speed_mps == pytest.approx(-1.0, abs=0.01)
 
 
 def test_people_who_walk_past_a_standing_vehicle_are_not_its_own_motion() -> None:

@@ -129,6 +129,20 @@ def test_odometry_is_near_the_truth_and_repeats():
     assert odometry.measure(world)[:2] == measured[:2]
 
 
+def test_odometry_states_how_well_it_measures():
+    worlds = [world_at(street(ROUND), 1.0 + 0.13 * i) for i in range(60)]
+    measured = [odometry.measure(world) for world in worlds]
+    speed = [(m.speed_mps - w.vehicle_speed_mps) / m.speed_sigma_mps for m, w in zip(measured, worlds, strict=True)]
+    turn = [
+        (m.yaw_rate_radps - w.vehicle_yaw_rate_radps) / m.yaw_rate_sigma_radps
+        for m, w in zip(measured, worlds, strict=True)
+    ]
+    for errors in (speed, turn):
+        assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.5
+    stands = odometry.measure(world_at(street(Standing(0.0, 0.0)), 1.0))
+    assert (stands.speed_mps, stands.speed_sigma_mps) == (0.0, odometry.STANDS_MPS)
+
+
 def test_the_camera_drives_along():
     scenario = street(Straight((0.0, 0.0), 0.0, 1.5, 20.0), [Player(1, "car", Standing(12.0, 0.0))])
     (far,), (near,) = camera.boxes(scenario, 0.0), camera.boxes(scenario, 2.0)

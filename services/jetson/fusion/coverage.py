@@ -76,7 +76,7 @@ def cover_way(
     rows: np.ndarray = np.all(seen.reshape(-1, ACROSS), axis=1)
     first_blind = int(np.argmin(rows)) if not rows.all() else len(rows)
     covered_m = round(first_blind * CELL_M, 2)
-    needed = rows[: max(1, int(np.ceil(max(path.stopping_m, 3.0) / CELL_M)))]
+    needed = rows[: int(np.ceil(max(path.stopping_m, 3.0) / CELL_M))]
     gaps = tuple(
         Uncovered(from_m=round(begin * CELL_M, 2), to_m=round(end * CELL_M, 2), why=why_not(covers, out))
         for begin, end in runs(~needed)
@@ -100,15 +100,19 @@ def sees(cover: Cover, cells: np.ndarray) -> np.ndarray:
     """
     if not any(cover.far_m) or cover.step_rad <= 0.0:
         return np.zeros(len(cells), bool)
-    far_m = np.array(cover.far_m)
     x, y = cells[:, 0] - cover.x_m, cells[:, 1] - cover.y_m
     range_m = np.hypot(x, y)
-    sector = np.floor((np.arctan2(y, x) - cover.first_rad) / cover.step_rad + 1e-9).astype(np.int64)
-    inside = (sector >= 0) & (sector < len(far_m))
-    seen_m = np.where(inside, far_m[np.clip(sector, 0, len(far_m) - 1)], 0.0)
     near = (range_m <= max(cover.near_m, NEAR_M)) & (x > 0.0)
-    straight_ahead_m = far_m[min(max(int(-cover.first_rad / cover.step_rad), 0), len(far_m) - 1)]
-    return np.asarray(np.where(near, straight_ahead_m > 0.0, seen_m >= range_m))
+    sees_ahead = bool(_far_m(cover, np.zeros(())) > 0.0)
+    return np.asarray(np.where(near, sees_ahead, _far_m(cover, np.arctan2(y, x)) >= range_m))
+
+
+def _far_m(cover: Cover, bearing_rad: np.ndarray) -> np.ndarray:
+    """(N,) how far the sensor could have seen in each of these directions; 0 where it does not look."""
+    far_m = np.array(cover.far_m)
+    sector = np.floor((bearing_rad - cover.first_rad) / cover.step_rad + 1e-9).astype(np.int64)
+    inside = (sector >= 0) & (sector < len(far_m))
+    return np.asarray(np.where(inside, far_m[np.clip(sector, 0, len(far_m) - 1)], 0.0))
 
 
 def runs(flags: np.ndarray) -> list[tuple[int, int]]:

@@ -1,7 +1,8 @@
-"""Breaks fusion in one place at a time and asks whether the tests notice.
+"""Breaks the rules in one place at a time and asks whether the tests notice.
 
     python tests/jetson/fusion/mutants.py [module ...] [--part 1/3]
 
+A module is one of fusion's, or has its full name: what decides about the way ahead lies with the sensors and the gate.
 Every comparison, boolean operator, negation, number, level and state of a module is changed once (a mutant); for each
 mutant a forked process runs the module's tests until the first failure, those of the module alone first. A mutant that
 no test notices is printed, and the exit code is 1. Mutants that cannot make a difference are listed with the reason in
@@ -71,6 +72,11 @@ TESTS: dict[str, tuple[str, ...]] = {
     "outlines": ("test_outlines.py", "test_outlines_steps.py"),
     "own_track": ("test_own_track.py",),
     "dating": ("test_health_limits.py", "test_clocks.py", "test_clocks_in_fusion.py", "test_aged_by_stamp.py"),
+    "common.path": ("common/test_path.py",),
+    "services.radar_pi.alarm": ("radar_pi/test_alarm.py",),
+    "services.jetson.lidar.way": ("jetson/lidar/test_way.py",),
+    "services.jetson.gate.checks": ("jetson/gate/test_pipeline.py",),
+    "services.jetson.gate.pipeline": ("jetson/gate/test_pipeline.py",),
 }
 ONLY_IN_CLASS = {"config": "RulesConfig"}  # the rest of the configuration is not rules
 
@@ -176,7 +182,7 @@ def _run_tests(name: str, tree: ast.Module) -> int:
     options = ["-x", "-q", "--assert=plain", "-p", "no:cacheprovider", "-o", "addopts=--import-mode=importlib"]
     options += ["-o", f"pythonpath={ROOT}"]
     with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
-        code = pytest.main([*options, *(str(HERE / test) for test in TESTS[name])])
+        code = pytest.main([*options, *(str((ROOT / "tests" if "/" in test else HERE) / test) for test in TESTS[name])])
     return {
         pytest.ExitCode.OK: SURVIVED,
         pytest.ExitCode.TESTS_FAILED: CAUGHT,
@@ -184,23 +190,29 @@ def _run_tests(name: str, tree: ast.Module) -> int:
     }.get(pytest.ExitCode(code), BROKEN)
 
 
+def full_name_of(name: str) -> str:
+    """Without a dot it is a module of fusion."""
+    return name if "." in name else f"{PACKAGE}.{name}"
+
+
 def install(name: str, tree: ast.Module) -> None:
-    """Put the mutant in the place of the module; all of fusion is imported afresh and finds it there."""
-    for loaded in [module for module in sys.modules if module.startswith(PACKAGE + ".")]:
+    """Put the mutant in the place of the module; all of its package is imported afresh and finds it there."""
+    full_name = full_name_of(name)
+    package, _, leaf = full_name.rpartition(".")
+    for loaded in [module for module in sys.modules if module.startswith(package + ".")]:
         del sys.modules[loaded]
-    full_name = f"{PACKAGE}.{name}"
     spec = importlib.util.find_spec(full_name)
     assert spec is not None
     module = ModuleType(full_name)
     module.__file__, module.__spec__ = spec.origin, spec
     sys.modules[full_name] = module
     exec(compile(tree, str(spec.origin), "exec"), module.__dict__)
-    setattr(importlib.import_module(PACKAGE), name, module)
+    setattr(importlib.import_module(package), leaf, module)
 
 
 def check(name: str, part: int = 1, parts: int = 1) -> tuple[int, list[str]]:
     """(number of mutants that can make a difference, those that nobody noticed), of one part of them."""
-    source = (ROOT / PACKAGE.replace(".", "/") / f"{name}.py").read_text()
+    source = (ROOT / f"{full_name_of(name).replace('.', '/')}.py").read_text()
     if is_noticed(name, ast.parse(source)):
         raise RuntimeError(f"the tests of {name} fail without any mutant")
     all_of_them = list(mutants(source, ONLY_IN_CLASS.get(name)))

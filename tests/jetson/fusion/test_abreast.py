@@ -24,9 +24,9 @@ FAR_M, SECTORS = 8.0, 90
 GATE = ((3.2, 0.45), (3.2, -0.45))  # two posts, vehicle's frame; 3.03 m from the radar
 
 
-def lidar(*things: tuple[float, float]) -> LidarZones:
+def lidar(*things: tuple[float, float], reach_m: float = FAR_M) -> LidarZones:
     """What the lidar covers when these points, and nothing else, stand around the vehicle."""
-    far_m = [FAR_M] * SECTORS
+    far_m = [reach_m] * SECTORS
     for x, y in things:
         bearing = math.atan2(y, x - LIDAR_X_M)
         far_m[int((bearing + math.pi / 2) / math.pi * SECTORS)] = math.hypot(x - LIDAR_X_M, y)
@@ -107,7 +107,7 @@ def test_each_place_is_carried_to_the_time_of_the_other() -> None:
 def test_a_scan_that_misses_a_post_ends_it_after_half_a_second() -> None:
     watch = AbreastWatch(PATH)
     assert watch.set_aside(Dated(radar(track()), 0.05, lidar(*GATE), 0.05), DRIVING) is not None
-    for after_ms, counts in ((100, False), (500, False), (600, True)):
+    for after_ms, counts in ((100, False), (500, False), (520, True)):
         told = radar(track(), stamp_ns=10**18 + after_ms * 10**6)
         assert (watch.set_aside(Dated(told, 0.05, lidar(), 0.05), DRIVING) is None) == counts
 
@@ -117,6 +117,57 @@ def test_a_caution_beyond_the_lidars_reach_waits_only_while_a_stop_needs_less() 
     assert left_over(radar(beyond), lidar()) == Abreast("SAFE", (), "CAUTION", 9.0)
     assert left_over(radar(track("IMMINENT", range_m=9.0)), lidar()) is None
     assert left_over(radar(beyond), lidar(), Motion(5.0)) is None  # to stop takes 6.8 m, and 0.75 s are 3.7 m more
+
+
+POST_RAD, POST_M = math.radians(9.0), 3.1  # the middle of a sector on either side, from the lidar
+POST = (LIDAR_X_M + POST_M * math.cos(POST_RAD), POST_M * math.sin(POST_RAD))
+FROM_RADAR_M, ASIDE_M = math.hypot(POST[0] - RADAR_X_M, POST[1]), POST[1]
+
+
+@pytest.mark.parametrize(
+    ("range_m", "beside_m", "aside"),
+    [
+        (FROM_RADAR_M + 0.399, (0.0, 1.0), True),  # the echo's range is that of a body's nearest part
+        (FROM_RADAR_M + 0.401, (0.0, 1.0), False),
+        (FROM_RADAR_M - 0.699, (0.0, 1.0), True),
+        (FROM_RADAR_M - 0.701, (0.0, 1.0), False),
+        (FROM_RADAR_M, (ASIDE_M + 0.099, 1.0), True),
+        (FROM_RADAR_M, (ASIDE_M + 0.101, 1.0), False),
+        (FROM_RADAR_M, (0.0, ASIDE_M - 0.099), True),
+        (FROM_RADAR_M, (0.0, ASIDE_M - 0.101), False),
+    ],
+)
+def test_how_far_off_the_echo_the_posts_may_be(range_m: float, beside_m: tuple[float, float], aside: bool) -> None:
+    told = radar(track(range_m=range_m, beside_m=beside_m))
+    assert (left_over(told, lidar(POST, (POST[0], -POST[1]))) is not None) == aside
+
+
+def test_in_a_curve_the_sides_are_those_of_the_line_of_travel() -> None:
+    """In a left turn the radar, ahead of the axle, drifts to the left: at 3 m by 9 cm. One post is 5 cm left of x."""
+    posts, told = lidar((3.2, 0.05), (3.1, 1.25)), radar(track(beside_m=(0.0, 1.2)))
+    assert left_over(told, posts, Motion(2.0, 0.3)) is not None
+    assert left_over(told, posts, Motion(2.0, 0.0)) is None
+
+
+def test_a_sector_that_was_not_seen_is_no_post() -> None:
+    """The lidar is mounted on the right and is covered there; one post stands on the left."""
+    seen = lidar((0.45, 0.3))
+    assert seen.cover is not None
+    covered = msgspec.structs.replace(seen.cover, y_m=-0.12, far_m=[0.0] * 30 + seen.cover.far_m[30:])
+    told = radar(track(range_m=0.45))
+    assert left_over(told, msgspec.structs.replace(seen, cover=covered)) is None
+
+
+def test_of_two_that_are_set_aside_the_worse_is_named() -> None:
+    told = radar(track("CAUTION", range_m=2.8, track_id=2), track(range_m=2.987))
+    assert left_over(told, lidar(*GATE)) == Abreast("SAFE", (), "IMMINENT", 2.99)
+
+
+@pytest.mark.parametrize(("reach_m", "waits"), [(5.3, False), (5.5, True)])
+def test_it_waits_while_the_way_is_free_for_a_while_longer_than_a_stop(reach_m: float, waits: bool) -> None:
+    """At 3 m/s a stop takes 3.1 m, and 0.75 s are 2.25 m."""
+    rest = left_over(radar(track("CAUTION", range_m=9.0)), lidar(reach_m=reach_m), Motion(3.0))
+    assert (rest is not None) == waits
 
 
 def decided(abreast: Abreast | None) -> Any:

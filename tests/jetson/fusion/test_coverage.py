@@ -6,13 +6,14 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from common.messages import Cover, Motion
-from common.path import PathConfig, stopping_m
+from common.path import Path, PathConfig, stopping_m
 from services.jetson.fusion.config import RulesConfig
-from services.jetson.fusion.coverage import Coverage, cover_way, runs, sees, way_ahead
+from services.jetson.fusion.coverage import Coverage, cover_way, runs, sees, strip, way_ahead
 from services.jetson.fusion.evidence import FusionInputs, FusionMemory, SensorInput
 from services.jetson.fusion.verdict import fuse
 
@@ -160,10 +161,73 @@ def test_without_any_word_on_covers_nothing_is_said() -> None:
     assert decided(None).way is None
 
 
-def test_sectors_are_looked_up_by_bearing() -> None:
-    cover = fan([1.0, 2.0, 3.0, 4.0])  # from the right: -90 to -45, to 0, to 45, to 90 degrees
-    cells = np.array([[0.2 + 1.0, -1.5], [0.2 + 1.5, -1.0], [0.2 + 1.5, 1.0], [0.2 + 1.0, 1.5], [-1.0, 0.0]])
-    assert sees(cover, cells).tolist() == [False, True, True, True, False]
+@pytest.mark.parametrize(
+    ("x_m", "y_m", "seen"),
+    [
+        (1.0, -1.5, False), (1.5, -1.0, True), (1.5, 1.0, True), (1.0, 1.5, True),
+        (1.5, 3.2, True), (2.0, 3.5, False),  # the last sector: 3.5 m, 4.03 m
+        (0.6, -0.8, True),  # as far as it reaches, to the millimetre
+        (0.36, -0.48, True),
+        (-1.0, 0.0, False), (-0.05, 0.0, False),  # behind it
+        (0.0, -0.3, True),
+    ],
+)  # fmt: skip
+def test_sectors_are_looked_up_by_bearing(x_m: float, y_m: float, seen: bool) -> None:
+    """From the right: -90 to -45, to 0, to 45, to 90 degrees."""
+    cover = from_origin(fan([1.0, 2.0, 3.0, 4.0]))
+    assert sees(cover, np.array([[x_m, y_m]])).tolist() == [seen]
+
+
+def from_origin(cover: Cover) -> Cover:
+    """The same from the origin, where ranges are round numbers."""
+    return msgspec.structs.replace(cover, x_m=0.0)
+
+
+NARROW = from_origin(cone(20.0, 6.0))
+
+
+@pytest.mark.parametrize(
+    ("cover", "x_m", "y_m", "seen"),
+    [
+        (NARROW, 0.36, 0.48, True),  # 0.6 m away, beside the cone
+        (NARROW, 0.37, 0.48, False),
+        (NARROW, 0.0, 0.3, False),  # abreast of it, not ahead
+        (msgspec.structs.replace(NARROW, near_m=1.0), 0.6, 0.8, True),
+        (from_origin(fan([6.0, 0.0, 6.0])), 0.3, 0.0, False),  # it does not see straight ahead
+        (from_origin(fan([0.0, 0.05, 0.0])), 0.3, 0.2, True),  # blocked at 5 cm is not blind
+        (Cover(x_m=0.0, y_m=0.0, first_rad=0.5, step_rad=0.5, far_m=[6.0, 6.0]), 0.3, 0.0, False),  # looks aside
+        (Cover(x_m=0.0, y_m=0.0, first_rad=-1.0, step_rad=0.5, far_m=[6.0]), 0.3, 0.0, False),
+        (Cover(x_m=0.0, y_m=0.0, first_rad=0.0, step_rad=0.0, far_m=[6.0]), 0.3, 0.0, False),  # says nothing
+        (Cover(x_m=0.0, y_m=0.0, first_rad=0.0, step_rad=0.5, far_m=[]), 0.3, 0.0, False),
+    ],
+)
+def test_near_it_what_it_sees_ahead_counts(cover: Cover, x_m: float, y_m: float, seen: bool) -> None:
+    assert sees(cover, np.array([[x_m, y_m]])).tolist() == [seen]
+
+
+def test_the_middle_of_the_way_and_both_edges_are_looked_at() -> None:
+    cells = strip(Path(PATH))
+    half_m = PATH.width_m / 2
+    first = cells[cells[:, 0] == cells[0, 0]]
+    assert first[:, 1] == pytest.approx([-half_m, -half_m / 2, 0.0, half_m / 2, half_m])
+    assert first[0, 0] == pytest.approx(PATH.front_m + 0.05)
+    assert cells[-1, 0] == pytest.approx(PATH.front_m + 11.95)
+
+
+def test_figures_are_told_in_millimetres_or_coarser() -> None:
+    _, way = way_ahead(Motion(1.37, 0.4327), PATH)
+    assert way.curvature_per_m == round(0.4327 / 1.37, 4)
+    assert (way.left_m, way.right_m, way.stopping_m) == (0.096, round(way.right_m, 3), round(way.stopping_m, 2))
+    speed = covered(Motion(1.0), cone(20.0, 2.05)).max_safe_speed_mps
+    assert speed is not None
+    assert speed == round(speed, 2)
+
+
+@pytest.mark.parametrize(("covered_m", "short"), [(1.99, True), (2.0, False)])
+def test_covered_to_the_very_end_is_enough(covered_m: float, short: bool) -> None:
+    _, way = way_ahead(Motion(2.0), PATH)
+    coverage = Coverage(msgspec.structs.replace(way, stopping_m=2.0), covered_m, (), None)
+    assert coverage.falls_short == short
 
 
 def test_runs_of_flags() -> None:
