@@ -97,6 +97,12 @@ def layout_of(packet: bytes) -> HesaiLayout | None:
     return _layout(packet[2], packet[3], packet[11], len(packet))
 
 
+def is_dual(packet: bytes) -> bool:
+    """Whether two returns of each beam are in it. ``packet`` is one of these sensors."""
+    layout = layout_of(packet)
+    return layout is not None and _TAIL.unpack_from(packet, layout.tail_at)[3] in DUAL_RETURNS
+
+
 def head(packet: bytes) -> PacketHead | None:
     """Where a packet lies, by its sequence number or, where that is off, microseconds. None: not of these sensors."""
     layout = layout_of(packet)

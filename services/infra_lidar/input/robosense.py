@@ -126,6 +126,12 @@ def unknown_angles() -> str:
     return as_metadata(RobosenseAngles(np.arange(CHANNELS) / 10.0, np.zeros(CHANNELS)))
 
 
+def is_dual(packet: bytes) -> bool:
+    """Whether two returns of each beam are in it: two of its three blocks have one azimuth. For an MSOP packet."""
+    _, _, _, first, _, middle, _, last = _HEAD.unpack(packet)
+    return middle in (first, last)
+
+
 def head(packet: bytes) -> PacketHead | None:
     """Where a packet lies, counted in microseconds of about a minute; None if it is no MSOP packet of a Ruby."""
     if len(packet) != PACKET_BYTES or packet[:4] != MSOP:
@@ -134,7 +140,7 @@ def head(packet: bytes) -> PacketHead | None:
     if {flag_0, flag_1, flag_2} != {BLOCK_FLAG} or max(first, middle, last) >= 36000:
         return None
     microsecond = fraction if fraction < 1_000_000 else fraction // 1000
-    dual = middle in (first, last)
+    dual = is_dual(packet)
     return PacketHead(
         first / 100.0,
         last / 100.0,

@@ -15,7 +15,7 @@ from services.infra_lidar.input.calibration_files import beside, captured_metada
 from services.infra_lidar.input.captures import CaptureError, Datagram, read_capture
 from services.infra_lidar.input.look_recordings import is_recording, tell_recording
 from services.infra_lidar.input.models import KINDS, kind_of
-from services.infra_lidar.input.sensors import VLS128, Sender, model_of
+from services.infra_lidar.input.sensors import VLS128, Sender, model_of, returns_of
 from services.infra_lidar.input.spinning import PacketParser
 
 NOTES = {  # where a calibration comes from that a capture lacks
@@ -88,7 +88,9 @@ def describe(datagrams: list[Datagram], path: Path | None) -> Iterator[str]:
         yield "no packets of a lidar that we know" + (f" among {len(datagrams)} datagrams" if datagrams else "")
     for sender, sent in lidars.items():
         span_s = max((sent[-1].stamp_ns - sent[0].stamp_ns) * 1e-9, 1e-3)
-        yield f"{sender}: {len(sent) / span_s:.0f} packets a second of {len(sent[0].payload)} bytes"
+        returns = returns_of(sent[0].payload)
+        told = f"{sender}: {len(sent) / span_s:.0f} packets a second of {len(sent[0].payload)} bytes"
+        yield f"{told}, {returns}" if returns else told
         if sender.supported:
             yield from _details(sender, sent, path, span_s)
 

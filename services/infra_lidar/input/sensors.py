@@ -11,10 +11,10 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from services.infra_lidar.input import robosense
+from services.infra_lidar.input import hesai, robosense
 from services.infra_lidar.input.captures import Datagram
-from services.infra_lidar.input.hesai import SELECTED_CHANNELS
-from services.infra_lidar.input.ouster_profiles import PROFILES
+from services.infra_lidar.input.ouster_profiles import PROFILES, OusterProfile
+from services.infra_lidar.input.velodyne import DUAL_RETURN, MODE_AT
 
 VELODYNE_BYTES = 1206
 VLS128 = "Velodyne VLS-128"
@@ -35,19 +35,32 @@ _ROBOSENSE = {
 _OUSTER_COLUMNS = 16
 
 
+def _ouster_bytes(profile: OusterProfile, beams: int) -> int:
+    column = profile.column_header + beams * profile.pixel + profile.column_footer
+    return profile.packet_header + _OUSTER_COLUMNS * column + profile.packet_footer
+
+
 def _ouster_sizes() -> dict[int, str]:
     """Sizes of packets; profiles of one size cannot be told apart by it, the first stands for all."""
     sizes: dict[int, str] = {}
     for beams in (16, 32, 64, 128):
         for name, p in PROFILES.items():
-            column = p.column_header + beams * p.pixel + p.column_footer
-            size = p.packet_header + _OUSTER_COLUMNS * column + p.packet_footer
             others = [k for k, q in PROFILES.items() if (q.pixel, q.legacy) == (p.pixel, p.legacy)]
-            sizes.setdefault(size, f"with {beams} beams, {name}" + (" or of that size" if len(others) > 1 else ""))
+            told = f"with {beams} beams, {name}" + (" or of that size" if len(others) > 1 else "")
+            sizes.setdefault(_ouster_bytes(p, beams), told)
     return sizes
 
 
-_OUSTER_SIZES = _ouster_sizes()
+def _ouster_duals() -> dict[int, set[bool]]:
+    """By size of a packet: whether the profiles of that size have a second return."""
+    duals: dict[int, set[bool]] = {}
+    for beams in (16, 32, 64, 128):
+        for p in PROFILES.values():
+            duals.setdefault(_ouster_bytes(p, beams), set()).add(p.second_range_at >= 0)
+    return duals
+
+
+_OUSTER_SIZES, _OUSTER_DUALS = _ouster_sizes(), _ouster_duals()
 
 
 class Sender(NamedTuple):
@@ -73,7 +86,7 @@ def model_of(payload: bytes) -> str:
         return f"Velodyne {_VELODYNE.get(product, f'of product number 0x{product:02X}')}"
     if payload[:2] == b"\xee\xff" and len(payload) > 100:
         major, minor, beams = payload[2], payload[3], payload[6]
-        if (major, minor) == (3, 2) and payload[11] & SELECTED_CHANNELS:
+        if (major, minor) == (3, 2) and payload[11] & hesai.SELECTED_CHANNELS:
             return "Hesai QT with selected channels"
         return HESAI_MODELS.get((major, minor, beams), f"Hesai with {beams} beams, protocol {major}.{minor}")
     if robosense.head(payload) is not None:
@@ -81,6 +94,22 @@ def model_of(payload: bytes) -> str:
     if payload[:4] in _ROBOSENSE and len(payload) > 100:
         return _ROBOSENSE[payload[:4]]
     return f"{OUSTER} {_OUSTER_SIZES[len(payload)]}" if len(payload) in _OUSTER_SIZES else ""
+
+
+def returns_of(payload: bytes) -> str:
+    """``single return`` or ``dual return``; "" where the packet does not tell, or where we do not know its format."""
+    model = model_of(payload)
+    if model == VLS128:
+        duals = {payload[MODE_AT] == DUAL_RETURN}
+    elif model in (PANDAR128, QT128):
+        duals = {hesai.is_dual(payload)}
+    elif model in (RUBY, RUBY_PLUS):
+        duals = {robosense.is_dual(payload)}
+    else:
+        duals = _OUSTER_DUALS.get(len(payload), set()) if model.startswith(OUSTER) else set()
+    if len(duals) != 1:
+        return ""
+    return "dual return" if True in duals else "single return"
 
 
 def survey(datagrams: Iterable[Datagram]) -> Counter[Sender]:

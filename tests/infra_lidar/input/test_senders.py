@@ -13,9 +13,14 @@ from common.bus.status import Report
 from common.config import ConfigError
 from services.infra_lidar.input.captures import Datagram
 from services.infra_lidar.input.live_packets import Receiver
+from services.infra_lidar.input.ouster import OusterFormat
 from services.infra_lidar.input.senders import describe, listen
+from services.infra_lidar.input.sensors import returns_of
 from services.infra_lidar.input.velodyne import Vls128Parser
+from tests.infra_lidar.hesai_packets import Packet as HesaiPacket
 from tests.infra_lidar.made_packets import vls_packet
+from tests.infra_lidar.ouster_packets import metadata
+from tests.infra_lidar.robosense_packets import Msop
 
 
 def sent(packets: list[bytes], sender: str = "192.168.1.201", port: int = 2368) -> list[Datagram]:
@@ -30,10 +35,41 @@ def test_a_sensor_in_a_capture_with_rate_returns_and_source() -> None:
     packets = turns(3)
     del packets[700:710]
     lines = list(describe(sent(packets), Path("street.pcap")))
-    assert lines[0] == "Velodyne VLS-128 at 192.168.1.201, port 2368: 6027 packets a second of 1206 bytes"
+    assert (
+        lines[0] == "Velodyne VLS-128 at 192.168.1.201, port 2368: 6027 packets a second of 1206 bytes, single return"
+    )
     assert "10.1 turns a second" in lines[1]
     assert "packets lost 10, doubled 0, late 0" in lines[1]
     assert lines[2].strip() == 'source = "file:street.pcap?from=192.168.1.201&port=2368"'
+
+
+def ouster_bytes(profile: str) -> int:
+    """The size of a packet of 128 beams, which is all that `look` knows of the profile."""
+    return OusterFormat(metadata(profile)).packet_bytes
+
+
+@pytest.mark.parametrize(
+    ("packet", "returns"),
+    [
+        (vls_packet(0.0, mode=0x37), "single return"),
+        (vls_packet(0.0, mode=0x38), "single return"),
+        (vls_packet(0.0, mode=0x39), "dual return"),
+        (HesaiPacket(mode=0x33).build(), "single return"),
+        (HesaiPacket(mode=0x3B).build(), "dual return"),
+        (HesaiPacket(qt128=True, mode=0x38).build(), "single return"),
+        (HesaiPacket(qt128=True, mode=0x39).build(), "dual return"),
+        (Msop(azimuth=(100, 120, 140)).build(), "single return"),
+        (Msop(azimuth=(100, 120, 120), dual=True).build(), "dual return"),
+        (Msop(plus=True, azimuth=(100, 100, 120), dual=True).build(), "dual return"),
+        (bytes(ouster_bytes("RNG19_RFL8_SIG16_NIR16")), "single return"),
+        (bytes(ouster_bytes("RNG19_RFL8_SIG16_NIR16_RGB16_DUAL")), "dual return"),
+        (bytes(ouster_bytes("RNG15_RFL8_NIR8_DUAL")), ""),  # one size with RNG15_RFL8_NIR8_ZONE16
+        (vls_packet(0.0, product=0x22), ""),
+        (b"x" * 1206, ""),
+    ],
+)
+def test_whether_one_or_two_returns_are_sent(packet: bytes, returns: str) -> None:
+    assert returns_of(packet) == returns
 
 
 def test_several_sensors_and_what_is_not_supported() -> None:

@@ -103,7 +103,8 @@ def test_firing_times_of_another_model_are_refused(street: Path) -> None:
 def test_look_tells_the_model_its_figures_and_what_to_write() -> None:
     sent = [Datagram(round(1e8 / 60) * k, "192.168.1.201", 2368, packet) for k, packet in enumerate(TURNS)]
     lines = list(describe([*sent[:50], *sent[51:]], Path("street.pcap")))
-    assert lines[0] == "Hesai Pandar128E3X or OT128 at 192.168.1.201, port 2368: 600 packets a second of 839 bytes"
+    who = "Hesai Pandar128E3X or OT128 at 192.168.1.201, port 2368"
+    assert lines[0] == f"{who}: 600 packets a second of 839 bytes, single return"
     assert "15232 returns a turn; packets lost 1, doubled 0, late 0" in lines[1]
     assert lines[2].strip() == ('source = "file:street.pcap?from=192.168.1.201&port=2368&calibration=ANGLES.csv"')
     assert 'source = "hesai://192.168.1.201?port=2368"' in " ".join(describe(sent, None))
