@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from dataclasses import dataclass, field
 from typing import Any
 
 from common.host.site import Site
@@ -36,67 +37,93 @@ CHUNK = re.compile(r"[a-z0-9_]+")
 SHADOW = "shadow"  # a candidate under comparison speaks below this chunk, received on its own host only
 
 
+@dataclass
+class _Access:
+    """Rules, neighbours and which rules hold for whom, as they are collected; see ``access_rules``."""
+
+    rules: list[dict[str, Any]] = field(default_factory=list)
+    subjects: list[dict[str, Any]] = field(default_factory=list)
+    policies: list[dict[str, Any]] = field(default_factory=list)
+
+    def allow(self, name: str, messages: list[str], keys: list[str], flow: str) -> None:
+        """Add a rule, unless there are no keys that it would be about."""
+        if keys:
+            rule = {"id": name, "messages": messages, "flows": [flow], "permission": "allow", "key_exprs": keys}
+            self.rules.append(rule)
+
+    def grant(self, subject: dict[str, Any], *rules: str) -> None:
+        """Add a neighbour and the rules that hold for it, of those that were made."""
+        made, name = {rule["id"] for rule in self.rules}, subject["id"]
+        self.subjects.append(subject)
+        self.policies.append({"id": name, "subjects": [name], "rules": [rule for rule in rules if rule in made]})
+
+
 def access_rules(site: Site, host: str, names: Names) -> dict[str, Any]:
     """The ``access_control`` section of the Zenoh configuration of ``host``'s router."""
-    everything = [f"{site.namespace}/**"]
-    own, recorders = spoken_keys(site, host), laptop_recorders(site, names)
-    spoken_here = own + own_commands(site, host) + spoken_keys(site, host, f"{SHADOW}/")
-    rules = [
-        _rule("local speaks", SPEAK, spoken_here, "ingress"),
-        _rule("local asks", ASK, everything, "ingress"),
-        _rule("anyone listens", LISTEN, everything, "ingress"),
-        _rule("anyone asks", ASK, questions(site), "ingress"),
-        _rule("neighbours are asked", LISTEN + ASK, everything, "egress"),
-        _rule("local hears everything", SPEAK, everything, "egress"),
-        _rule("hosts hear this host", SPEAK, own, "egress"),
-        _rule(
-            "laptops hear the site", SPEAK, [key for name in site.hosts for key in spoken_keys(site, name)], "egress"
-        ),
-        _rule("hosts announce recorders", SAY, list(recorders.values()), "ingress"),
-        _rule("recorders are announced", SAY, list(recorders.values()), "egress"),
-    ]
-    rules += [_rule(f"local ros {flow}", SPEAK + LISTEN + ASK, ros_keys(site), flow) for flow in ("ingress", "egress")]
-    subjects: list[dict[str, Any]] = [{"id": "local", "interfaces": ["lo"], "link_protocols": ["tcp"]}]
-    policies = [
-        _policy(
-            "local",
-            "local speaks",
-            "local asks",
-            "anyone listens",
-            "neighbours are asked",
-            "local hears everything",
-            "local ros ingress",
-            "local ros egress",
-        ),
-    ]
-    for name, common_name in names.allowed("host").items():
-        if name == host or name not in site.hosts:
-            continue
-        speaks = f"{name} speaks"
-        spoken = spoken_keys(site, name)
-        if spoken:
-            rules.append(_rule(speaks, SPEAK, spoken, "ingress"))
-        subjects.append({"id": name, "cert_common_names": [common_name]})
-        allowed = [speaks] if spoken else []
-        heard = ("anyone listens", "anyone asks", "neighbours are asked", "hosts hear this host")
-        policies.append(_policy(name, *allowed, *heard, "hosts announce recorders", "recorders are announced"))
-    for name, common_name in sorted(names.allowed("laptop").items()):
-        records = f"{name} records"
-        rules.append(_rule(records, SAY, [recorders[name]] if name in recorders else [], "ingress"))
-        subjects.append({"id": f"laptop {name}", "cert_common_names": [common_name]})
-        sees = ("laptops hear the site", "recorders are announced")
-        policies.append(_policy(f"laptop {name}", "anyone listens", "anyone asks", *sees, records))
-    rules = [rule for rule in rules if rule["key_exprs"]]
-    known = {rule["id"] for rule in rules}
-    for policy in policies:
-        policy["rules"] = [rule for rule in policy["rules"] if rule in known]
+    access, recorders = _Access(), laptop_recorders(site, names)
+    _shared_rules(access, site, host, list(recorders.values()))
+    _grant_local(access, site, host)
+    _grant_hosts(access, site, host, names)
+    _grant_laptops(access, names, recorders)
     return {
         "enabled": True,
         "default_permission": "deny",
-        "rules": rules,
-        "subjects": subjects,
-        "policies": policies,
+        "rules": access.rules,
+        "subjects": access.subjects,
+        "policies": access.policies,
     }
+
+
+def _shared_rules(access: _Access, site: Site, host: str, recorders: list[str]) -> None:
+    """What holds for neighbours of several kinds."""
+    everything = [f"{site.namespace}/**"]
+    access.allow("anyone listens", LISTEN, everything, "ingress")
+    access.allow("anyone asks", ASK, questions(site), "ingress")
+    access.allow("neighbours are asked", LISTEN + ASK, everything, "egress")
+    access.allow("hosts hear this host", SPEAK, spoken_keys(site, host), "egress")
+    of_the_site = [key for name in site.hosts for key in spoken_keys(site, name)]
+    access.allow("laptops hear the site", SPEAK, of_the_site, "egress")
+    access.allow("hosts announce recorders", SAY, recorders, "ingress")
+    access.allow("recorders are announced", SAY, recorders, "egress")
+
+
+def _grant_local(access: _Access, site: Site, host: str) -> None:
+    """This host's own services, on loopback."""
+    everything = [f"{site.namespace}/**"]
+    spoken = spoken_keys(site, host) + own_commands(site, host) + spoken_keys(site, host, f"{SHADOW}/")
+    access.allow("local speaks", SPEAK, spoken, "ingress")
+    access.allow("local asks", ASK, everything, "ingress")
+    access.allow("local hears everything", SPEAK, everything, "egress")
+    for flow in ("ingress", "egress"):
+        access.allow(f"local ros {flow}", SPEAK + LISTEN + ASK, ros_keys(site), flow)
+    access.grant(
+        {"id": "local", "interfaces": ["lo"], "link_protocols": ["tcp"]},
+        "local speaks", "local asks", "anyone listens", "neighbours are asked", "local hears everything",
+        "local ros ingress", "local ros egress",
+    )  # fmt: skip
+
+
+def _grant_hosts(access: _Access, site: Site, host: str, names: Names) -> None:
+    """The routers of the other hosts that have a certificate and stand in the site."""
+    for name, common_name in names.allowed("host").items():
+        if name == host or name not in site.hosts:
+            continue
+        access.allow(f"{name} speaks", SPEAK, spoken_keys(site, name), "ingress")
+        access.grant(
+            {"id": name, "cert_common_names": [common_name]},
+            f"{name} speaks", "anyone listens", "anyone asks", "neighbours are asked", "hosts hear this host",
+            "hosts announce recorders", "recorders are announced",
+        )  # fmt: skip
+
+
+def _grant_laptops(access: _Access, names: Names, recorders: dict[str, str]) -> None:
+    """Laptops by their certificates; ``recorders``: by name, the key on which each may say that it records."""
+    for name, common_name in sorted(names.allowed("laptop").items()):
+        access.allow(f"{name} records", SAY, [recorders[name]] if name in recorders else [], "ingress")
+        access.grant(
+            {"id": f"laptop {name}", "cert_common_names": [common_name]},
+            "anyone listens", "anyone asks", "laptops hear the site", "recorders are announced", f"{name} records",
+        )  # fmt: skip
 
 
 def spoken_keys(site: Site, host: str, prefix: str = "") -> list[str]:
@@ -152,11 +179,3 @@ def _lasts(service: str) -> Iterable[str]:
     yield from (topic.product for topic in (*DATA_TOPICS, *RAW_TOPICS) if topic.service == service)
     yield from (command.name for command in COMMANDS if command.service == service and command.from_afar)
     yield from (*ANSWERED, "alive/*")
-
-
-def _rule(name: str, messages: list[str], keys: list[str], flow: str) -> dict[str, Any]:
-    return {"id": name, "messages": messages, "flows": [flow], "permission": "allow", "key_exprs": keys}
-
-
-def _policy(subject: str, *rules: str) -> dict[str, Any]:
-    return {"id": subject, "subjects": [subject], "rules": list(rules)}
