@@ -5,6 +5,8 @@ Sources: spi:0.0 (DreamHAT+), spi:emulator, file:RECORDING?rate=1&loop=1, mcap:R
 
 from __future__ import annotations
 
+import sys
+
 import msgspec
 import typer
 
@@ -12,7 +14,8 @@ from common.bus.ego import EgoWatch
 from common.bus.look import add_look
 from common.bus.raw_tap import RawTap
 from common.bus.runtime import Service
-from common.bus.service_app import service_app
+from common.bus.service_app import flag_as_command, service_app
+from common.config import ConfigError
 from common.messages import EgoMotion
 from common.topics import EGO_MOTION, RADAR_DETECTIONS, RADAR_MOTION, RADAR_RAW, RADAR_TRACKS
 from services.radar_pi.config import RadarConfig
@@ -55,7 +58,11 @@ add_look(app, RadarConfig, looks)
 
 def main() -> None:
     """The console command ``spotter-radar``."""
-    app()
+    try:
+        app(args=flag_as_command(flag_as_command(sys.argv[1:], "plot"), "record"))
+    except ConfigError as error:  # of a subcommand
+        sys.stderr.write(f"spotter: {error}\n")
+        raise SystemExit(2) from None
 
 
 if __name__ == "__main__":

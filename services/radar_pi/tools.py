@@ -8,19 +8,11 @@ from __future__ import annotations
 
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from common.bus.service_app import (
-    ConfigOption,
-    SetOption,
-    SourceOption,
-    check_output,
-    load_config,
-    setup_logging,
-    told_in_a_line,
-)
+from common.bus.service_app import check_output, load_config, setup_logging, told_in_a_line
 from common.bus.status import Report
 from common.config import ConfigError
 from services.radar_pi.config import RadarConfig
@@ -29,39 +21,36 @@ from services.radar_pi.plot import draw
 from services.radar_pi.recording import Recorder
 from services.radar_pi.source import open_source, with_waveform_of_source
 
-PlotOption = Annotated[Path | None, typer.Option("--plot", help="Draw what the radar sees to a PNG and stop.")]
-RecordOption = Annotated[Path | None, typer.Option("--record", help="Write raw frames to a .radar file and stop.")]
-FramesOption = Annotated[int, typer.Option("--frames", min=1, help="How many frames to plot or record from.")]
+Frames = Annotated[int, typer.Option("--frames", min=1, help="How many frames to take from the source.")]
 
 
 def add_tools(app: typer.Typer) -> None:
-    """Give the service's command line the options --plot, --record and --frames."""
-    service: Any = app.registered_callback
-    start = service.callback
+    """Give the service's command line the subcommands ``plot`` and ``record``."""
 
-    @app.callback(invoke_without_command=True, help=app.info.help)
-    def start_or_tool(
+    @app.command()
+    def plot(
         context: typer.Context,
-        config: ConfigOption = None,
-        overrides: SetOption = None,
-        source: SourceOption = None,
-        show_config: Annotated[
-            bool, typer.Option("--show-config", help="Print the effective configuration and stop.")
-        ] = False,
-        plot: PlotOption = None,
-        record: RecordOption = None,
-        frames: FramesOption = 40,
+        picture: Annotated[Path, typer.Argument(metavar="FILE", help="The PNG to write.")],
+        frames: Frames = 40,
     ) -> None:
-        if plot is None and record is None:
-            start(context, config, overrides, source, show_config)
-            return
+        """Draw the last of some frames, with the tracks' past, to a PNG. `--plot FILE` is the same."""
         setup_logging("radar")
-        effective = load_config(RadarConfig, config, overrides, source)
         with told_in_a_line():
-            if record is not None:
-                typer.echo(f"{record}: {record_frames(effective, record, frames)} frames")
-            if plot is not None:
-                typer.echo(f"{plot}: the last of {plot_frames(effective, plot, frames)} frames")
+            count = plot_frames(load_config(RadarConfig, *context.obj), picture, frames)
+            typer.echo(f"{picture}: the last of {count} frames")
+
+    @app.command()
+    def record(
+        context: typer.Context,
+        recording: Annotated[Path, typer.Argument(metavar="FILE", help="The .radar file to write.")],
+        frames: Frames = 40,
+    ) -> None:
+        """Write the raw frames of the source to a .radar file. `--record FILE` is the same."""
+        setup_logging("radar")
+        with told_in_a_line():
+            typer.echo(
+                f"{recording}: {record_frames(load_config(RadarConfig, *context.obj), recording, frames)} frames"
+            )
 
 
 def plot_frames(config: RadarConfig, path: Path, frames: int) -> int:
