@@ -1,31 +1,17 @@
 """The article's refinements of clusters: rows of people cut, boxes inside boxes joined, feet trimmed."""
 
-import numpy as np
-
 from benchmarks.article.second_look import Refinements, refine_clusters
-from services.infra_lidar.clustering.clustering import Clustering
 from services.infra_lidar.config import ClusteringConfig
-from services.infra_lidar.segmentation.ground import Obstacles
+from tests.infra_lidar.made_clusters import clusters_of_parts, solid
 
-
-def _solid(x, y, length, width, low, high, n=400, seed=0):
-    rng = np.random.default_rng(seed)
-    return rng.uniform([x - length / 2, y - width / 2, low], [x + length / 2, y + width / 2, high], (n, 3))
-
-
-def _cluster(*parts, config=None):
-    xyz = np.vstack(parts).astype(np.float32)
-    owner = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
-    n = len(xyz)
-    frame = Obstacles(np.column_stack((xyz, xyz[:, 2])), np.arange(n, dtype=np.int32), np.zeros(n, bool))
-    return Clustering(config or ClusteringConfig(merge="off", split="off"), 100.0).cluster(frame), owner
+PLAIN = ClusteringConfig(merge="off", split="off")
 
 
 def test_people_in_a_row_are_cut_at_the_gap_as_in_the_article():
     config = ClusteringConfig(split="off", merge="off", body_height_m=0.0, cell_m=0.5, cell_growth_m=0.0)
-    people = _solid(8, 0, 0.5, 0.5, 0.2, 1.7, n=300), _solid(8, 1.4, 0.5, 0.5, 0.2, 1.7, n=300, seed=1)
-    bridge = _solid(8, 0.7, 0.1, 1.2, 0.9, 1.0, n=12)
-    joined, owner = _cluster(*people, bridge, config=config)
+    people = solid(8, 0, 0.5, 0.5, 0.2, 1.7, n=300), solid(8, 1.4, 0.5, 0.5, 0.2, 1.7, n=300, seed=1)
+    bridge = solid(8, 0.7, 0.1, 1.2, 0.9, 1.0, n=12)
+    joined, owner = clusters_of_parts(*people, bridge, config=config)
     assert len(joined) == 1
     found = refine_clusters(joined, Refinements(trim=False, join=False))
     assert len(found) == 2
@@ -35,17 +21,17 @@ def test_people_in_a_row_are_cut_at_the_gap_as_in_the_article():
 
 def test_a_box_inside_another_joins_it_as_in_the_article():
     frame = (
-        _solid(10, 0, 4.0, 0.1, 0.2, 1.5),
-        _solid(10, 2.0, 4.0, 0.1, 0.2, 1.5),
-        _solid(8.05, 1.0, 0.1, 2.0, 0.2, 1.5),
+        solid(10, 0, 4.0, 0.1, 0.2, 1.5),
+        solid(10, 2.0, 4.0, 0.1, 0.2, 1.5),
+        solid(8.05, 1.0, 0.1, 2.0, 0.2, 1.5),
     )
-    inner = _solid(10, 1.0, 0.4, 0.4, 0.4, 1.2, n=60)
-    apart, _ = _cluster(*frame, inner)
+    inner = solid(10, 1.0, 0.4, 0.4, 0.4, 1.2, n=60)
+    apart, _ = clusters_of_parts(*frame, inner, config=PLAIN)
     assert len(apart) == 2
     assert len(refine_clusters(apart, Refinements(trim=False, split=False))) == 1
 
 
 def test_feet_are_trimmed_as_in_the_article():
-    person = _solid(8, 0, 0.5, 0.5, 0.16, 1.7, n=200)
-    found = refine_clusters(_cluster(person)[0], Refinements(split=False, join=False))
+    person = solid(8, 0, 0.5, 0.5, 0.16, 1.7, n=200)
+    found = refine_clusters(clusters_of_parts(person, config=PLAIN)[0], Refinements(split=False, join=False))
     assert found.counts.tolist() == [200 - int(0.05 * 200) - 1]

@@ -1,7 +1,11 @@
 """Packets of a Velodyne VLS-128 and of an Ouster, built byte by byte."""
 
 import json
+import socket
 import struct
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -50,3 +54,25 @@ def ouster_packet(layout, frame_id, first_column, range_mm=8000, valid=1):
         if layout.profile_name == "LEGACY":
             body += struct.pack("<I", 0xFFFFFFFF if valid else 0)
     return head + body + bytes(p.packet_footer)
+
+
+@contextmanager
+def sending(packets: Sequence[bytes], port: int) -> Iterator[None]:
+    """Send the packets to a UDP port of this machine, over and over."""
+    ended = threading.Event()
+
+    def send() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            while not ended.is_set():
+                for at in range(0, len(packets), 20):  # in bursts that the receiver's buffer holds
+                    for packet in packets[at : at + 20]:
+                        sender.sendto(packet, ("127.0.0.1", port))
+                    ended.wait(0.002)
+
+    thread = threading.Thread(target=send, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()

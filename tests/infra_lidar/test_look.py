@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-import socket
-import threading
 from collections.abc import Callable
 
 from common.bus.look import Look
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.look import looks
-from tests.infra_lidar.made_packets import vls_packet
+from tests.infra_lidar.made_packets import sending, vls_packet
 
 
 def test_a_sensor_that_sends_is_told_with_its_packets(free_ports: Callable[[], int]) -> None:
-    port, ended = free_ports(), threading.Event()
+    port = free_ports()
     packets = [vls_packet(0.6 * k % 360.0, time_us=166 * k) for k in range(600)]
-
-    def send() -> None:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            while not ended.is_set():
-                for at in range(0, 600, 20):  # in small bursts, so that the receiver's buffer does not overflow
-                    for packet in packets[at : at + 20]:
-                        sender.sendto(packet, ("127.0.0.1", port))
-                    ended.wait(0.002)
-
-    thread = threading.Thread(target=send, daemon=True)
-    thread.start()
-    seen: Look = next(looks(InfraLidarConfig(source=f"velodyne://127.0.0.1:{port}"), 0.5))
-    ended.set()
-    thread.join()
+    with sending(packets, port):
+        seen: Look = next(looks(InfraLidarConfig(source=f"velodyne://127.0.0.1:{port}"), 0.5))
     assert seen.sees, seen
     assert seen.what.startswith("VLS-128, ")
     assert "packets a turn" in seen.what

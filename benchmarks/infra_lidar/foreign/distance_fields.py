@@ -11,10 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.infra_lidar.foreign.distances import Body, trace
-from services.infra_lidar.classification.classes import CLASSES
-from services.infra_lidar.training.clusters import LabelledClusters, collect
+from benchmarks.infra_lidar.foreign.draw import draw_clusters
+from services.infra_lidar.training.clusters import LabelledClusters
 
-MIN_POINTS = 20
 _RAYS = 5000
 _SHARES = {"background": 0.36, "car": 0.22, "large_vehicle": 0.12, "cyclist": 0.12, "pedestrian": 0.18}
 
@@ -22,16 +21,8 @@ _SHARES = {"background": 0.36, "car": 0.22, "large_vehicle": 0.12, "cyclist": 0.
 def clusters(seed: int, count: int) -> LabelledClusters:
     """About ``count`` clusters in the shares of a street; each its own group."""
     rng = np.random.default_rng([seed, 2])
-    points: list[np.ndarray] = []
-    labels: list[int] = []
-    for label, name in enumerate(CLASSES):
-        wanted = len(points) + round(count * _SHARES[name])
-        while len(points) < wanted:
-            seen = _seen(rng, BODIES[name](rng))
-            if len(seen) >= MIN_POINTS and np.ptp(seen[:, 2]) > 0.15:
-                points.append(seen)
-                labels.append(label)
-    return collect(points, [0.0] * len(points), labels, list(range(len(points))))
+    counts = {name: round(count * share) for name, share in _SHARES.items()}
+    return draw_clusters(lambda name: _seen(rng, BODIES[name](rng)), counts)
 
 
 def _beams_rad(rng: np.random.Generator) -> np.ndarray:

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.infra_lidar.foreign.draw import draw_clusters
 from benchmarks.infra_lidar.foreign.triangles import cast, extruded, rod, tube, wheel
-from services.infra_lidar.classification.classes import CLASSES
-from services.infra_lidar.training.clusters import LabelledClusters, collect
+from services.infra_lidar.training.clusters import LabelledClusters
 
-MIN_POINTS = 20
 _RAYS = 3000
 _SHARES = {"background": 3, "car": 2, "large_vehicle": 1, "cyclist": 1, "pedestrian": 2}
 _SENSORS = ((32, 30.0), (40, 35.0), (64, 26.8), (80, 40.0))  # beams, degrees
@@ -21,16 +20,8 @@ _SENSORS = ((32, 30.0), (40, 35.0), (64, 26.8), (80, 40.0))  # beams, degrees
 def clusters(seed: int, per_share: int) -> LabelledClusters:
     """``per_share`` times the shares of each class; each cluster its own group."""
     rng = np.random.default_rng([seed, 3])
-    points: list[np.ndarray] = []
-    labels: list[int] = []
-    for label, name in enumerate(CLASSES):
-        wanted = len(points) + per_share * _SHARES[name]
-        while len(points) < wanted:
-            seen = _seen(rng, np.concatenate(BODIES[name](rng)))
-            if len(seen) >= MIN_POINTS and np.ptp(seen[:, 2]) > 0.15:
-                points.append(seen)
-                labels.append(label)
-    return collect(points, [0.0] * len(points), labels, list(range(len(points))))
+    counts = {name: per_share * share for name, share in _SHARES.items()}
+    return draw_clusters(lambda name: _seen(rng, np.concatenate(BODIES[name](rng))), counts)
 
 
 def _seen(rng: np.random.Generator, mesh: np.ndarray) -> np.ndarray:

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.infra_lidar.foreign.draw import draw_clusters
 from services.infra_lidar.classification.classes import CLASSES
-from services.infra_lidar.training.clusters import LabelledClusters, collect
+from services.infra_lidar.training.clusters import LabelledClusters
 
-MIN_POINTS = 20
 _GRIDS = ((64, 45.0, 1024), (128, 45.0, 1024), (128, 22.5, 2048), (128, 45.0, 2048))  # beams, degrees, columns
 _SAMPLES = 60_000
 
@@ -32,16 +32,8 @@ class Part:
 def clusters(seed: int, per_class: int) -> LabelledClusters:
     """``per_class`` clusters of every class, twice as many of the background; each its own group."""
     rng = np.random.default_rng([seed, 1])
-    points: list[np.ndarray] = []
-    labels: list[int] = []
-    for label, name in enumerate(CLASSES):
-        wanted = len(points) + per_class * (2 if name == "background" else 1)
-        while len(points) < wanted:
-            seen = _seen(rng, BODIES[name](rng))
-            if len(seen) >= MIN_POINTS and np.ptp(seen[:, 2]) > 0.15:
-                points.append(seen)
-                labels.append(label)
-    return collect(points, [0.0] * len(points), labels, list(range(len(points))))
+    counts = {name: per_class * (2 if name == "background" else 1) for name in CLASSES}
+    return draw_clusters(lambda name: _seen(rng, BODIES[name](rng)), counts)
 
 
 def _surface(rng: np.random.Generator, part: Part, n: int) -> np.ndarray:

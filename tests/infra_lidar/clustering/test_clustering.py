@@ -12,22 +12,14 @@ from services.infra_lidar.clustering.clustering import Clustering
 from services.infra_lidar.config import ClusteringConfig, InfraLidarConfig
 from services.infra_lidar.segmentation.ground import Obstacles
 from services.infra_lidar.training.scenes import Steps
+from tests.infra_lidar.made_clusters import clusters_of_parts, solid
 
 LARGE = ("bus", "truck")
+DEFAULT = ClusteringConfig()
 
 
-def _solid(x, y, length, width, low, high, n=400, seed=0):
-    rng = np.random.default_rng(seed)
-    return rng.uniform([x - length / 2, y - width / 2, low], [x + length / 2, y + width / 2, high], (n, 3))
-
-
-def _cluster(*parts, config=None):
-    """Cluster level-frame points whose road is z = 0; returns the clusters and which part each point came from."""
-    xyz = np.vstack(parts).astype(np.float32)
-    owner = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
-    n = len(xyz)
-    frame = Obstacles(np.column_stack((xyz, xyz[:, 2])), np.arange(n, dtype=np.int32), np.zeros(n, bool))
-    return Clustering(config or ClusteringConfig(), 100.0).cluster(frame), owner
+def _cluster(*parts, config=DEFAULT):
+    return clusters_of_parts(*parts, config=config)
 
 
 def _own(found, owner):
@@ -36,21 +28,21 @@ def _own(found, owner):
 
 
 def test_two_people_half_a_metre_apart_near_the_pole():
-    found, owner = _cluster(_solid(8, 0, 0.4, 0.4, 0.2, 1.7), _solid(8, 0.9, 0.4, 0.4, 0.2, 1.7))
+    found, owner = _cluster(solid(8, 0, 0.4, 0.4, 0.2, 1.7), solid(8, 0.9, 0.4, 0.4, 0.2, 1.7))
     assert len(found) == 2
     assert all(len(c) == 1 for c in _own(found, owner))
 
 
 def test_a_sparse_far_car_stays_whole_where_fixed_cells_break_it():
-    car = _solid(60, 0, 4.2, 1.8, 0.2, 1.5, n=60)
+    car = solid(60, 0, 4.2, 1.8, 0.2, 1.5, n=60)
     assert len(_cluster(car)[0]) == 1
     fixed = ClusteringConfig(cell_m=0.15, cell_growth_m=0.0, merge="off")
     assert len(_cluster(car, config=fixed)[0]) != 1
 
 
 def test_a_canopy_does_not_join_the_cars_below():
-    cars = _solid(10, 0, 4.2, 1.8, 0.2, 1.5), _solid(10, 4, 4.2, 1.8, 0.2, 1.5)
-    canopy = _solid(10, 2, 7.0, 7.0, 2.6, 4.4, n=3000)
+    cars = solid(10, 0, 4.2, 1.8, 0.2, 1.5), solid(10, 4, 4.2, 1.8, 0.2, 1.5)
+    canopy = solid(10, 2, 7.0, 7.0, 2.6, 4.4, n=3000)
     found, owner = _cluster(*cars, canopy)
     of_car_a, of_car_b, of_canopy = _own(found, owner)
     assert len(of_car_a) == len(of_car_b) == 1
@@ -61,15 +53,15 @@ def test_a_canopy_does_not_join_the_cars_below():
 
 
 def test_a_bus_keeps_its_roof():
-    found, _ = _cluster(_solid(15, 0, 12, 2.5, 0.3, 3.2, n=6000))
+    found, _ = _cluster(solid(15, 0, 12, 2.5, 0.3, 3.2, n=6000))
     assert len(found) == 1
     assert found.box[0, 5] == pytest.approx(2.9, abs=0.1)
     assert found.box[0, 3] == pytest.approx(12, abs=0.4)
 
 
 def test_the_two_ends_of_a_hidden_bus_are_joined_and_a_cyclist_before_it_is_not():
-    ends = _solid(28, -4.5, 2.4, 2.0, 0.4, 3.0, n=200), _solid(28, 0.2, 2.4, 3.0, 0.4, 3.0, n=200)
-    cyclist = _solid(25.6, -2.4, 0.6, 1.7, 0.2, 1.75, n=120)
+    ends = solid(28, -4.5, 2.4, 2.0, 0.4, 3.0, n=200), solid(28, 0.2, 2.4, 3.0, 0.4, 3.0, n=200)
+    cyclist = solid(25.6, -2.4, 0.6, 1.7, 0.2, 1.75, n=120)
     found, owner = _cluster(*ends, cyclist)
     one, other, rider = _own(found, owner)
     assert one == other
@@ -79,7 +71,7 @@ def test_the_two_ends_of_a_hidden_bus_are_joined_and_a_cyclist_before_it_is_not(
 
 
 def test_people_beside_a_parked_car_are_not_joined_to_it():
-    found, owner = _cluster(_solid(12, 0, 4.3, 1.8, 0.2, 1.5), _solid(12, 1.6, 0.5, 0.5, 0.2, 1.7))
+    found, owner = _cluster(solid(12, 0, 4.3, 1.8, 0.2, 1.5), solid(12, 1.6, 0.5, 0.5, 0.2, 1.7))
     car, person = _own(found, owner)
     assert not car & person
 
@@ -87,9 +79,9 @@ def test_people_beside_a_parked_car_are_not_joined_to_it():
 @pytest.mark.parametrize(
     ("part", "why"),
     [
-        (_solid(10, 0, 0.5, 0.5, 0.2, 1.7, n=6), "too few points"),
-        (_solid(10, 0, 30, 0.3, 0.2, 1.7, n=4000), "too long"),
-        (_solid(10, 0, 1.0, 1.0, 0.16, 0.3), "too low"),
+        (solid(10, 0, 0.5, 0.5, 0.2, 1.7, n=6), "too few points"),
+        (solid(10, 0, 30, 0.3, 0.2, 1.7, n=4000), "too long"),
+        (solid(10, 0, 1.0, 1.0, 0.16, 0.3), "too low"),
     ],
 )
 def test_impossible_sizes_are_dropped(part, why):
@@ -99,7 +91,7 @@ def test_impossible_sizes_are_dropped(part, why):
 
 
 def test_grouped_points_and_ids_agree():
-    parts = _solid(8, 0, 0.5, 0.5, 0.2, 1.7), _solid(20, 9, 4, 1.8, 0.2, 1.5)
+    parts = solid(8, 0, 0.5, 0.5, 0.2, 1.7), solid(20, 9, 4, 1.8, 0.2, 1.5)
     found, owner = _cluster(*parts)
     cluster_id = found.cluster_id(len(owner))
     assert np.array_equal(found.cluster_id(len(owner))[found.members], np.repeat([0, 1], found.counts))
@@ -166,7 +158,7 @@ def test_clusters_outlive_the_next_frame():
     """Whoever trains keeps those of many frames."""
     clustering, frames = Clustering(ClusteringConfig(), 100.0), []
     for x in (8, 20):
-        xyz = _solid(x, 0, 0.5, 0.5, 0.2, 1.7).astype(np.float32)
+        xyz = solid(x, 0, 0.5, 0.5, 0.2, 1.7).astype(np.float32)
         n = len(xyz)
         frame = Obstacles(np.column_stack((xyz, xyz[:, 2])), np.arange(n, dtype=np.int32), np.zeros(n, bool))
         found = clustering.cluster(frame)
@@ -182,7 +174,7 @@ def test_clusters_outlive_the_next_frame():
 def test_every_point_is_in_one_cluster_at_most_whatever_is_attached(seed):
     """Loose pieces of several points beside tall ends: taking the first of a group of them must not lose the others."""
     rng = np.random.default_rng(seed)
-    ends = [_solid(*rng.uniform([10, -8], [30, 8]), 0.4, 2.5, 0.3, 3.0, n=60, seed=seed + k) for k in range(3)]
+    ends = [solid(*rng.uniform([10, -8], [30, 8]), 0.4, 2.5, 0.3, 3.0, n=60, seed=seed + k) for k in range(3)]
     loose = rng.uniform([8, -10, 0.3], [34, 10, 3.0], (60, 3))
     pieces = np.repeat(loose, 4, axis=0) + rng.uniform(-0.05, 0.05, (240, 3))
     found, owner = _cluster(*ends, pieces)

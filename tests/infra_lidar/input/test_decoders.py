@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
-import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,7 +18,7 @@ from services.infra_lidar.input.models import KINDS, decoder_of
 from services.infra_lidar.input.robosense import unknown_angles
 from services.infra_lidar.look import looks
 from tests.infra_lidar import hesai_packets, ouster_packets, robosense_packets
-from tests.infra_lidar.made_packets import vls_packet
+from tests.infra_lidar.made_packets import sending, vls_packet
 
 OUSTER = ouster_packets.metadata("RNG15_RFL8_NIR8")
 METADATA = {
@@ -91,7 +89,7 @@ def test_an_unknown_kind_is_said() -> None:
 
 @pytest.mark.parametrize("kind", ["hesai", "robosense"])
 def test_a_live_port_gives_turns(kind: str, tmp_path: Path, free_ports: Callable[[], int]) -> None:
-    port, ended = free_ports(), threading.Event()
+    port = free_ports()
     angles = tmp_path / "angles.csv"
     if kind == "hesai":
         angles.write_text(hesai_packets.ANGLES)
@@ -103,19 +101,7 @@ def test_a_live_port_gives_turns(kind: str, tmp_path: Path, free_ports: Callable
         angles.write_text("".join(f"{v},0\n" for v in robosense_packets.VERTICAL_DEG))
         places = [(600 * k % 36000, (600 * k + 20) % 36000, (600 * k + 40) % 36000) for k in range(600)]
         packets = [robosense_packets.Msop(azimuth=at, microsecond=167 * k).build() for k, at in enumerate(places)]
-
-    def send() -> None:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            while not ended.is_set():
-                for at in range(0, 600, 20):  # in small bursts, so that the receiver's buffer does not overflow
-                    for packet in packets[at : at + 20]:
-                        sender.sendto(packet, ("127.0.0.1", port))
-                    ended.wait(0.002)
-
-    thread = threading.Thread(target=send, daemon=True)
-    thread.start()
-    seen: Look = next(looks(InfraLidarConfig(source=f"{kind}://127.0.0.1?port={port}&calibration={angles}"), 0.5))
-    ended.set()
-    thread.join()
+    with sending(packets, port):
+        seen: Look = next(looks(InfraLidarConfig(source=f"{kind}://127.0.0.1?port={port}&calibration={angles}"), 0.5))
     assert seen.sees, seen
     assert "packets a turn" in seen.what

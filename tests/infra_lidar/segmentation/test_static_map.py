@@ -8,6 +8,7 @@ from services.infra_lidar.clustering.grid import CellGrid
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.segmentation.ground import Obstacles
 from services.infra_lidar.segmentation.scene import MIN_SHARE, StaticMap
+from tests.infra_lidar.made_clusters import solid
 
 CONFIG = ClusteringConfig()
 
@@ -25,19 +26,14 @@ def _clusters(points, counts):
     return ClusterPoints(points=points.astype(np.float32), members=members, offsets=offsets, box=box)
 
 
-def _solid(x, y, length, width, low, high, n, seed=0):
-    rng = np.random.default_rng(seed)
-    return rng.uniform([x - length / 2, y - width / 2, low], [x + length / 2, y + width / 2, high], (n, 3))
-
-
 def _is_within(drawn, part):
     share = StaticMap(CONFIG, 100.0).share_within(drawn, _clusters(part, [len(part)]), np.zeros(1, np.float32))
     return share[0] >= MIN_SHARE
 
 
-HEDGE = _solid(20, 0, 3, 12, 0.2, 2.0, 6000)
-CANOPY = _solid(12, 20, 8, 8, 2.6, 4.5, 6000)
-PARKED = _solid(10, -10, 4, 1.8, 0.2, 1.5, 800)
+HEDGE = solid(20, 0, 3, 12, 0.2, 2.0, 6000)
+CANOPY = solid(12, 20, 8, 8, 2.6, 4.5, 6000)
+PARKED = solid(10, -10, 4, 1.8, 0.2, 1.5, 800)
 
 
 def _drawn():
@@ -48,18 +44,18 @@ def _drawn():
 
 
 def test_a_piece_of_the_hedge_is_structure_and_a_person_before_it_is_not():
-    assert _is_within(_drawn(), _solid(20, 2, 1.0, 1.0, 0.4, 1.8, 80, seed=1))
-    assert not _is_within(_drawn(), _solid(17.6, 2, 0.5, 0.5, 0.2, 1.7, 80, seed=1))
+    assert _is_within(_drawn(), solid(20, 2, 1.0, 1.0, 0.4, 1.8, 80, seed=1))
+    assert not _is_within(_drawn(), solid(17.6, 2, 0.5, 0.5, 0.2, 1.7, 80, seed=1))
 
 
 def test_a_car_under_a_tree_is_no_part_of_the_tree():
-    assert not _is_within(_drawn(), _solid(12, 20, 4.2, 1.8, 0.2, 1.5, 400, seed=2))
-    assert _is_within(_drawn(), _solid(12, 20, 3.0, 3.0, 2.7, 4.0, 400, seed=2))
+    assert not _is_within(_drawn(), solid(12, 20, 4.2, 1.8, 0.2, 1.5, 400, seed=2))
+    assert _is_within(_drawn(), solid(12, 20, 3.0, 3.0, 2.7, 4.0, 400, seed=2))
 
 
 def test_a_large_cluster_is_judged_by_all_of_its_length():
-    assert _is_within(_drawn(), _solid(20, 0, 2.5, 11, 0.2, 1.9, 9000, seed=3))
-    assert not _is_within(_drawn(), _solid(20, 10, 2.5, 13, 0.2, 1.9, 9000, seed=3))  # a fifth of it is hedge
+    assert _is_within(_drawn(), solid(20, 0, 2.5, 11, 0.2, 1.9, 9000, seed=3))
+    assert not _is_within(_drawn(), solid(20, 10, 2.5, 13, 0.2, 1.9, 9000, seed=3))  # a fifth of it is hedge
 
 
 def test_what_was_a_road_user_is_not_drawn():

@@ -19,6 +19,7 @@ import typer
 from services.jetson.camera.config import CameraConfig, LensConfig
 from services.jetson.camera.detector import Detector
 from services.jetson.camera.training.coverage import Board, corners_by_field, coverage_picture, uncovered
+from services.jetson.camera.training.evaluate import lens_of
 
 MIN_PICTURES = 5
 MIN_TILTED, TILTED_DEG = 3, 15.0
@@ -118,15 +119,8 @@ def from_boards(boards: Sequence[Board | None], images: list[np.ndarray], rows: 
         [board] * len(corners), corners, (width_px, height_px), np.eye(3), np.zeros(5)
     )
     _check_determined(matrix, deviations.reshape(-1), rotations, corners, (width_px, height_px))
-    lens = LensConfig(
-        width_px=width_px,
-        height_px=height_px,
-        f_x_px=float(matrix[0, 0]),
-        f_y_px=float(matrix[1, 1]),
-        c_x_px=float(matrix[0, 2]),
-        c_y_px=float(matrix[1, 2]),
-        distortion=tuple(float(value) for value in distortion.reshape(-1)),
-    )
+    terms = tuple(float(value) for value in distortion.reshape(-1))
+    lens = msgspec.structs.replace(lens_of(matrix, width_px, height_px), distortion=terms)
     empty = uncovered(corners_by_field(found, width_px, height_px))
     return ChessboardResult(lens, float(error_px), len(corners), empty)
 

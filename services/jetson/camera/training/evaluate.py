@@ -58,10 +58,12 @@ class Error(NamedTuple):
 
     @property
     def ours(self) -> float:
+        """Relative error of the distance."""
         return abs(self.distance_m - self.label.depth_m) / self.label.depth_m
 
     @property
     def plain(self) -> float:
+        """Relative error of f * H / h."""
         return abs(self.plain_m - self.label.depth_m) / self.label.depth_m
 
 
@@ -106,7 +108,7 @@ def projection(text: str, name: str = "P2") -> np.ndarray:
 
 
 def lens_of(matrix: np.ndarray, width_px: int, height_px: int) -> LensConfig:
-    """The lens of a (3, 4) projection matrix for a picture of this size."""
+    """The lens of a camera matrix (3, 3), or projection matrix (3, 4), for a picture of this size; no distortion."""
     return LensConfig(
         width_px=width_px,
         height_px=height_px,
