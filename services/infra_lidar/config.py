@@ -113,7 +113,7 @@ class ClassifierConfig(Section, frozen=True, kw_only=True):
     """The forest."""
 
     model: str = ""  # an .npz made by `spotter-infra-lidar train`; empty = the one that is shipped
-    min_confidence: Share = 0.45  # below this an object is called "unknown": an obstacle, but nobody knows which
+    min_confidence: Share = 0.45  # below this an object is "unknown": an obstacle of no known class
 
 
 class InfraLidarConfig(ServiceConfig, frozen=True, kw_only=True):

@@ -12,7 +12,7 @@ from common.bus.look import AsJson, Look, Seconds, Seen, Watch, collect, show
 from common.bus.service_app import load_config
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.input.packets import Frame
-from services.infra_lidar.input.senders import tell_senders
+from services.infra_lidar.input.senders import print_senders
 from services.infra_lidar.input.source import open_source
 
 SENSORS = {"velodyne": "VLS-128", "ouster": "Ouster", "hesai": "Hesai", "robosense": "RoboSense"}
@@ -64,6 +64,6 @@ def add_look(app: typer.Typer) -> None:
         nothing.
         """
         if where is not None:
-            raise typer.Exit(0 if tell_senders(where, seconds) else 1)
+            raise typer.Exit(0 if print_senders(where, seconds) else 1)
         config = load_config(InfraLidarConfig, *context.obj)
         show(config, looks(config, seconds), watch, as_json)

@@ -104,7 +104,7 @@ class InfraLidarPipeline:
         )  # fmt: skip
 
     def _classify(self, segmentation: Segmentation, found: ClusterPoints) -> ClusterSet:
-        road_z_m = self.scene.ground.road_below(found.box)
+        road_z_m = self.scene.ground.road_height(found.box[:, 0], found.box[:, 1])
         features, index, confidence, probabilities = self.classifier.extract_and_classify(found, road_z_m)
         self.scene.mark_static(segmentation, found, road_z_m, index)
         return ClusterSet(

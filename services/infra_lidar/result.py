@@ -28,8 +28,7 @@ class ClusterSet:
     classes: (K,) int, index into ``LABELS``. confidences: (K,) of that class, probabilities: (K, C). box: (K, 8)
     float32: centre x, y, z, length, width, height (m), yaw (rad) and gap to the road (m). features: (K, F) float32.
     members (M,): index in the frame of the clustered points, grouped by cluster; cluster k is
-    ``members[offsets[k]:offsets[k + 1]]`` with offsets (K + 1,). ground_z_m: (K,) height of
-    the local road.
+    ``members[offsets[k]:offsets[k + 1]]`` with offsets (K + 1,). ground_z_m: (K,) height of the local road (m).
     """
 
     classes: np.ndarray

@@ -10,7 +10,7 @@ import numpy as np
 from services.infra_lidar.config import BlindnessConfig
 
 _Sight = tuple[float, float, float, float]  # returns, near returns, beams, sectors
-USUAL_GAIN = 0.02  # how fast "usual" follows good frames
+USUAL_GAIN = 0.02  # share of a good frame in the running mean of what is usual
 MEDIANS = 5  # columns of the window that are judged by their median; of the others the sum counts
 
 
@@ -104,7 +104,7 @@ class VisibilityMonitor:
         return reasons
 
     def _learn(self, sight: _Sight) -> None:
-        """Let "usual" follow a good frame."""
+        """Add a good frame to the running mean of what is usual."""
         if self._usual is None:
             self._usual = sight
         (a, b, c, d), (e, f, g, h), gain = self._usual, sight, USUAL_GAIN

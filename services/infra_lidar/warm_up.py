@@ -23,7 +23,7 @@ from services.infra_lidar.input.range_image import RangeImage
 from services.infra_lidar.input.revolution import decode_revolution, stack_packets
 from services.infra_lidar.jit import CACHE, COMPLETE, KEPT
 from services.infra_lidar.pipeline import InfraLidarPipeline
-from services.infra_lidar.tracking.tracker import Detections, MultiObjectTracker
+from services.infra_lidar.tracking import Detections, MultiObjectTracker
 
 log = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ from services.infra_lidar.calibration.plane_fit import Calibration, Calibrator, 
 from services.infra_lidar.config import CalibrationConfig
 from services.infra_lidar.input.range_image import Returns, points_of
 
-MAX_POINTS, MAX_ROAD_POINTS, MIN_ROAD_POINTS = 10_000, 1000, 50  # of a frame, and of the road in it, for a check
+MAX_POINTS, MAX_ROAD_POINTS, MIN_ROAD_POINTS = 10_000, 1000, 50  # used of a frame, and of the road in it
 ROAD_BAND_M = 0.4  # a nudge up to this height error at 20 m is measured; with a larger one the road is lost
 CHECKS_TO_BELIEVE = 3
 
@@ -95,9 +95,7 @@ class CalibrationMonitor:
         self._lost_checks = 0
         coefficients, _ = fit_level_surface(road, ROAD_BAND_M)
         assert self._current is not None
-        if (
-            self._current.baseline is None
-        ):  # kerbs and verges tilt the fit, too: only changes against the first check count
+        if self._current.baseline is None:  # kerbs and verges tilt this fit, too: only changes since then count
             m, slope_x, slope_y = (float(c) for c in coefficients)
             self._current = replace(self._current, baseline=(m, slope_x, slope_y))
         change = coefficients - np.array(self._current.baseline)

@@ -27,13 +27,10 @@ BELOW_COST = 3.0  # how much a point under the plane counts against one on it
 REACHES = (1.0, 1.5, 2.25)  # of the radius: what is tried in turn
 REACH_HEIGHTS = 2.2  # the carriageway is looked for this many heights away at least: 20 m from a mast of 10 m
 GROUND_M, GROUND_SLOPE = 0.3, 0.05  # what may be ground beside the rough plane, and more with distance
-SURER, MIN_ELSEWHERE_M = 2.0, 1.0  # when a plane outside the cone contradicts the prior: its score, its distance
-ELSEWHERE = "the road was expected"
+CONTRADICTION, MIN_CONTRADICTION_M = 2.0, 1.0  # a plane outside the cone refuses the prior: score ratio, distance
 NEAR_M = 8.0  # at this distance from the foot a point of the road weighs half
-SPREADS, BEND_PER_M = (
-    2.5,
-    2e-4,
-)  # the stated error: so many jackknife errors, and a road that bends with a radius of 5 km
+ERROR_FACTOR = 2.5  # the stated error is this many jackknife errors ...
+BEND_PER_M = 2e-4  # ... and that of a road that bends with a radius of 5 km
 SECTORS = 8
 MIN_AREA_CELLS = 60  # square metres of road, at least
 # Places of the sums of 1, x, y, z, xx, xy, yy, xz, yz in the normal equations of a plane
@@ -160,13 +157,16 @@ def _best_hypothesis(
     aside = np.abs(normals @ prior) < np.cos(np.radians(config.max_tilt_deg))
     side = np.where(aside, offsets, normals @ prior)  # outside the cone, up is where the sensor is
     normals, offsets = normals * np.sign(side)[:, None], offsets * np.sign(side)
-    fits = (offsets >= config.height_min_m) & (offsets <= config.height_max_m) & (~aside | (offsets > MIN_ELSEWHERE_M))
+    fits = (
+        (offsets >= config.height_min_m) & (offsets <= config.height_max_m) & (~aside | (offsets > MIN_CONTRADICTION_M))
+    )
     normals, offsets, aside = normals[fits], offsets[fits], aside[fits]
     scores = _scores(near, normals, offsets, config.inlier_m)
     within = np.where(aside, -np.inf, scores)
     outside = np.where(aside, scores, -np.inf)
-    if aside.any() and outside.max() > SURER * max(0.0, within.max()):
-        return f"{ELSEWHERE} {_prior_text(config)}; found at {_mounting_text(normals[int(outside.argmax())])}"
+    if aside.any() and outside.max() > CONTRADICTION * max(0.0, within.max()):
+        found = _mounting_text(normals[int(outside.argmax())])
+        return f"the road was expected {_prior_text(config)}; found at {found}"
     if not len(within) or not np.isfinite(within.max()):
         return "no plane within the mounting cone"
     best = int(np.argmax(within))
@@ -244,7 +244,7 @@ def _calibration(
     distance_m = np.hypot(on_road[:, 0], on_road[:, 1])
     nearness = 1.0 / (1.0 + (distance_m / NEAR_M) ** 2)
     bend_deg = np.degrees(BEND_PER_M * float(nearness @ distance_m / max(float(nearness.sum()), 1e-9)))
-    error_deg = float(np.hypot(SPREADS * _jackknife_deg(on_road, config.inlier_m), bend_deg))
+    error_deg = float(np.hypot(ERROR_FACTOR * _jackknife_deg(on_road, config.inlier_m), bend_deg))
     area = len(np.unique(np.floor(on_road[:, :2]).astype(np.int64) @ np.array([1, 4096])))
     refused = ""
     if area < MIN_AREA_CELLS:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import logging
 import zipfile
+from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,6 +16,8 @@ from services.infra_lidar.calibration.plane_fit import Calibration
 from services.infra_lidar.segmentation.background import BackgroundModel
 
 log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 
 class Store:
@@ -23,7 +27,7 @@ class Store:
         self._folder = Path(folder).expanduser() if folder else None
         self._saved_calibration: Calibration | None = None
         self._saved_background: BackgroundModel | None = None
-        self._complaint = ""
+        self._fault = ""
 
     def load(self) -> tuple[Calibration | None, BackgroundModel | None]:
         """What is there; a damaged file is reported in the log and treated as missing."""
@@ -34,20 +38,20 @@ class Store:
         return self._saved_calibration, self._saved_background
 
     def keep(self, calibration: Calibration | None, background: BackgroundModel | None) -> None:
-        """Write what has been settled since the last call; None is not settled yet.
+        """Write what is final since the last call; None = not final yet.
 
-        A disk that takes no more is no reason to stop seeing: it is in the log, and the next start learns anew.
+        A full or read-only disk does not stop the service: the log says so once, and the next start learns anew.
         """
         try:
             self._keep(calibration, background)
         except OSError as error:
-            complaint = f"{self._folder}: {error.strerror or error}; not kept, the next start learns anew"
+            fault = f"{self._folder}: {error.strerror or error}; not kept, the next start learns anew"
             if self._folder is not None:
                 for part in self._folder.glob("*.tmp*"):
                     part.unlink(missing_ok=True)
-            if complaint != self._complaint:
-                log.error(complaint)
-            self._complaint = complaint
+            if fault != self._fault:
+                log.error(fault)
+            self._fault = fault
 
     def _keep(self, calibration: Calibration | None, background: BackgroundModel | None) -> None:
         if self._folder is None:
@@ -57,11 +61,12 @@ class Store:
             self._write("calibration.json", calibration_text(calibration).encode())
         if background is not None and background is not self._saved_background:
             self._saved_background = background
+            self._folder.mkdir(parents=True, exist_ok=True)
             path = self._folder / "background.tmp.npz"
             np.savez(path, **{f.name: getattr(background, f.name) for f in fields(background)})
             path.replace(self._folder / "background.npz")
 
-    def _read(self, name: str, read):  # type: ignore[no-untyped-def]
+    def _read(self, name: str, read: Callable[[Path], T]) -> T | None:
         assert self._folder is not None
         path = self._folder / name
         if not path.exists():

@@ -71,11 +71,6 @@ class Clustering:
         self._grid = CellGrid(config, range_max_m)
         self._cells = CellLabeller(config, self._grid)
 
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the cell grid."""
-        return self._cells.nbytes
-
     def cluster(self, obstacles: Obstacles) -> ClusterPoints:
         """Group the points of a frame that are not ground."""
         config, points = self._config, obstacles.points

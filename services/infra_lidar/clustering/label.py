@@ -12,6 +12,10 @@ from services.infra_lidar.clustering.grid import CellGrid, cells_of
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.jit import kernel
 
+BAND_M = np.float32(0.4)  # a component with points in this uppermost part of the body height continues above it
+TALL_SHARE = 0.03  # of its points
+TALL_POINTS = 3
+
 
 class CellLabeller:
     """Labels the points of one sensor's frames by connected component. Holds the grid: one thread at a time."""
@@ -19,11 +23,6 @@ class CellLabeller:
     def __init__(self, config: ClusteringConfig, grid: CellGrid) -> None:
         self._grid, self._min_cell_points, self._eight = grid, config.min_cell_points, config.connectivity == 8
         self._node_of_cell = np.full(grid.side * grid.side, -1, np.int32)
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the grid."""
-        return self._node_of_cell.nbytes
 
     def label(self, points: np.ndarray, fills: np.ndarray) -> tuple[np.ndarray, int]:
         """Component of each point.
@@ -115,11 +114,6 @@ def labels_of_points(cell: np.ndarray, node_of_cell: np.ndarray, component: np.n
     return label
 
 
-BAND_M = np.float32(0.4)  # a component with points in this uppermost part of the body height continues above it
-MIN_SHARE = 0.03  # of its points
-MIN_POINTS = 3
-
-
 @kernel
 def tall_components(above_m: np.ndarray, label: np.ndarray, components: int, body_m: np.float32) -> np.ndarray:
     """(K,) bool: components whose points reach the top of the body height.
@@ -131,7 +125,7 @@ def tall_components(above_m: np.ndarray, label: np.ndarray, components: int, bod
         if label[i] >= 0 and above_m[i] < body_m:
             number[label[i]] += 1
             in_band[label[i]] += above_m[i] >= body_m - BAND_M
-    return (in_band >= MIN_POINTS) & (in_band >= MIN_SHARE * number)
+    return (in_band >= TALL_POINTS) & (in_band >= TALL_SHARE * number)
 
 
 @kernel

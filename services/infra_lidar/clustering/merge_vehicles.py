@@ -12,7 +12,17 @@ import numpy as np
 
 from services.infra_lidar.jit import kernel
 
-X, Y, COS, SIN, HALF_LENGTH, HALF_WIDTH, TOP, COLUMNS = range(8)
+X, Y, COS, SIN, HALF_LENGTH, HALF_WIDTH, TOP, COLUMNS = range(8)  # of a footprint
+SMALL_LENGTH_M, SMALL_WIDTH_M, SMALL_TOP_M = 5.3, 2.2, 2.2
+LARGE_LENGTH_M, LARGE_WIDTH_M, LARGE_TOP_M = 14.0, 3.3, 4.5
+TOUCH_M = 0.35  # up to this gap fragments may meet at any angle (the corner of a vehicle)
+SMALL_GAP_M, LARGE_GAP_M = 1.2, 3.0
+SIDE_STEP_M = 0.5  # fragments across a wider gap lie in one line to within this
+PERSON_WIDTH_M, PERSON_HEIGHT_M = 1.0, 1.0
+UPPER_WIDTH_M, UPPER_HEIGHT_M = 0.8, 0.2  # of a person behind another: head and shoulders at least
+CYCLE_LENGTH_M, TALL_TOP_M = 2.2, 1.55
+MIN_FRAGMENT_POINTS = 3  # fewer have no shape to judge by
+PAIRS_PER_FRAGMENT = 16  # room for that many neighbours on average
 
 
 @kernel
@@ -72,18 +82,6 @@ def _nearest_corner(box: np.ndarray, other: np.ndarray) -> np.float32:
         nearest = min(nearest, du * du + dv * dv)
         lu, lv, wu, wv = wu, wv, -lu, -lv  # the next corner
     return nearest
-
-
-SMALL_LENGTH_M, SMALL_WIDTH_M, SMALL_TOP_M = 5.3, 2.2, 2.2
-LARGE_LENGTH_M, LARGE_WIDTH_M, LARGE_TOP_M = 14.0, 3.3, 4.5
-TOUCH_M = 0.35  # up to this gap fragments may meet at any angle (the corner of a vehicle)
-SMALL_GAP_M, LARGE_GAP_M = 1.2, 3.0
-SIDE_STEP_M = 0.5  # fragments across a wider gap lie in one line to within this
-PERSON_WIDTH_M, PERSON_HEIGHT_M = 1.0, 1.0
-UPPER_WIDTH_M, UPPER_HEIGHT_M = 0.8, 0.2  # of a person behind another: head and shoulders at least
-CYCLE_LENGTH_M, TALL_TOP_M = 2.2, 1.55
-MIN_FRAGMENT_POINTS = 3  # fewer have no shape to judge by
-PAIRS_PER_FRAGMENT = 16  # room for that many neighbours on average
 
 
 @kernel

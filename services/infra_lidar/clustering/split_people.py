@@ -158,12 +158,8 @@ def _split(points: np.ndarray, members: np.ndarray, heads: np.ndarray, min_point
 @kernel
 def _with_parts(groups: Groups, sizes: np.ndarray, total: int) -> tuple[Groups, np.ndarray]:
     """``groups`` with an entry for each of the ``total`` parts of sizes (K, MAX_HEADS), 0 = none; and which are new."""
-    offsets, box, is_part, at = (
-        np.zeros(total + 1, np.int32),
-        np.empty((total, 8), np.float32),
-        np.zeros(total, np.bool_),
-        0,
-    )
+    offsets, box = np.zeros(total + 1, np.int32), np.empty((total, 8), np.float32)
+    is_part, at = np.zeros(total, np.bool_), 0
     for k in range(len(sizes)):
         first = at
         for h in range(MAX_HEADS):

@@ -52,7 +52,7 @@ class BagTopic:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether this is called as a bag is: a file, or a folder with the bag's metadata."""
+    """Whether the name is a bag's: a file with such a suffix, or a folder with the bag's metadata."""
     return (path / "metadata.yaml").exists() if path.is_dir() else path.suffix in SUFFIXES
 
 
@@ -92,10 +92,10 @@ class Bag:
         return found
 
     def ouster_metadata(self) -> str:
-        """What the Ouster driver publishes beside its packets; "" if it is not in the bag."""
+        """The metadata that the Ouster driver publishes beside its packets; "" if they are not in the bag."""
         strings = [name for name, kind in self.all_topics if kind == "std_msgs/msg/String"]
-        said = [message.data for name in strings for _, message in islice(self.messages(name), 1)]
-        return next((text for text in said if "beam_altitude_angles" in text), "")
+        texts = [message.data for name in strings for _, message in islice(self.messages(name), 1)]
+        return next((text for text in texts if "beam_altitude_angles" in text), "")
 
     def _model(self, topic: str) -> str:
         """The sensor of the first packet that is known; an Ouster's may be of a kind that only its metadata tell."""
@@ -158,7 +158,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 @contextmanager
 def _damage() -> Iterator[None]:
-    """What the library meets in damaged bytes, in one sentence."""
+    """Turn what the library raises on damaged bytes into a ``BagError`` of one sentence."""
     try:
         yield
     except _library_errors() as error:
@@ -174,6 +174,6 @@ def _library_errors() -> tuple[type[Exception], ...]:
     from rosbags.serde import SerdeError
     from rosbags.typesys import TypesysError
 
-    told = (AnyReaderError, rosbag1.ReaderError, rosbag2.ReaderError, SerdeError, TypesysError, apsw.Error)
-    untold = (struct.error, OSError, ValueError, LookupError, AssertionError, EOFError, RuntimeError, MemoryError)
-    return *told, *untold, OverflowError, TypeError, AttributeError
+    documented = (AnyReaderError, rosbag1.ReaderError, rosbag2.ReaderError, SerdeError, TypesysError, apsw.Error)
+    seen = (struct.error, OSError, ValueError, LookupError, AssertionError, EOFError, RuntimeError, MemoryError)
+    return *documented, *seen, OverflowError, TypeError, AttributeError  # the latter with bags damaged at random

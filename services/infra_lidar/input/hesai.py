@@ -44,8 +44,7 @@ BODY_AT, BLOCKS = 12, 2
 SAFETY_BYTES, TAIL_BYTES, SEQUENCE_BYTES, IMU_BYTES, CHECK_BYTES, SIGNATURE_BYTES = 17, 26, 4, 22, 4, 32
 SEQUENCE, IMU, SAFETY, SIGNATURE = 1, 2, 4, 8  # flags
 SELECTED_CHANNELS = 64  # of a QT128: its blocks hold channels of a table that is not in the packet; not read
-SHUTDOWN = 1  # operational state of the E3X and OT128
-HIGH_RESOLUTION = 0
+HIGH_RESOLUTION = 0  # operational state of the E3X and OT128
 BLOCK_US = {PANDAR128: 55.556, QT128: 111.11}
 MAX_RPM = 3000
 MAX_UNIT_MM = 8
@@ -67,10 +66,12 @@ class HesaiLayout(NamedTuple):
 
     @property
     def block_bytes(self) -> int:
+        """Bytes of one block: azimuth and all channels."""
         return 2 + CHANNELS * self.unit_bytes
 
     @property
     def body_end(self) -> int:
+        """First byte behind the blocks."""
         return BODY_AT + BLOCKS * self.block_bytes
 
 
@@ -91,7 +92,7 @@ def _layout(major: int, minor: int, flags: int, length: int) -> HesaiLayout | No
 
 
 def layout_of(packet: bytes) -> HesaiLayout | None:
-    """Layout of a packet; None if it is none of these sensors, or of another length than its flags tell."""
+    """Layout of a packet; None if it is none of these sensors, or its length and its flags disagree."""
     if len(packet) < BODY_AT or packet[:2] != _START or packet[6] != CHANNELS or packet[7] != BLOCKS:
         return None
     return _layout(packet[2], packet[3], packet[11], len(packet))
@@ -128,7 +129,7 @@ def silent_packet() -> bytes:
 
 
 def hesai_format(metadata: str) -> SensorFormat:
-    """How the sensor speaks whose calibration is in ``metadata``, see ``hesai_calibration.as_metadata``.
+    """The packet format of a sensor with the calibration in ``metadata``, see ``hesai_calibration.as_metadata``.
 
     Raises:
         CalibrationError: it is no calibration of a Hesai sensor of 128 channels.

@@ -28,7 +28,7 @@ MAX_FIRETIME_S = 200e-6
 
 
 class CalibrationError(ValueError):
-    """A calibration is none of this sensor; the text says what was expected and what was found."""
+    """A calibration does not fit the sensor; the text says what was expected and what was found."""
 
 
 class HesaiCalibration(NamedTuple):
@@ -75,7 +75,7 @@ def read_calibration(angles: str, firetimes: str = "") -> HesaiCalibration:
     """The calibration in the texts of both files; without firing times, channels count as fired at once.
 
     Raises:
-        CalibrationError: a text is none of a sensor of 128 channels.
+        CalibrationError: a text is not of a sensor with 128 channels.
     """
     table = _channels(_rows(angles, 3), "angles")
     elevation_deg, azimuth_deg = table[:, 1], table[:, 2]

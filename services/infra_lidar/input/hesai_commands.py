@@ -33,7 +33,7 @@ def ask_calibration(host: str, port: int = COMMAND_PORT) -> str:
         angles = _ask(connection, ANGLES)
         times = _ask(connection, FIRETIMES)
     if angles is None:
-        raise CalibrationError("the sensor refuses to tell its angle correction")
+        raise CalibrationError("the sensor refuses the command for its angle correction")
     read_calibration(angles)
     try:
         read_calibration(angles, times or "")
@@ -47,7 +47,7 @@ def _ask(connection: socket.socket, command: int) -> str | None:
     connection.sendall(_HEAD.pack(_START, command, 0, 0))
     start, answered, code, length = _HEAD.unpack(_receive(connection, _HEAD.size))
     if start != _START or answered != command or length > MAX_ANSWER_BYTES:
-        raise CalibrationError("the answer on its command port is none of a Hesai sensor")
+        raise CalibrationError("the answer on the command port is not that of a Hesai sensor")
     body = _receive(connection, length)
     return body.decode("utf-8-sig", "replace").strip("\0") if code == 0 and body else None
 

@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 
-from services.infra_lidar.input.pcd import MAX_POINTS, FrameError
+from services.infra_lidar.input.pcd import MAX_POINTS, FrameError, point_columns
 
 _COMPRESSED = 0x80  # in the point format's number, LAS 1.4 R15 with LASzip
 _FORMAT_AT, _LEGACY_COUNT_AT, _COUNT_AT, _VERSION_AT = 104, 107, 247, 25
@@ -42,8 +42,9 @@ def parse_las(data: bytes) -> np.ndarray:
         raise FrameError(f"damaged LAZ file ({error})") from None
     if len(columns[0]) != count:
         raise FrameError(f"{count} points are announced, {len(columns[0])} follow")
-    columns.append(intensity / 257.0 if intensity.max(initial=0.0) > 255.0 else intensity)  # LAS 1.4: of 16 bits
-    return np.stack([*columns, *([] if ring is None else [ring])], axis=1).astype(np.float32)
+    if intensity.max(initial=0.0) > 255.0:
+        intensity /= 257.0  # LAS 1.4: of 16 bits
+    return point_columns(columns, intensity, ring)
 
 
 def _announced(data: bytes) -> int:

@@ -133,7 +133,7 @@ class Receiver:
     def _receive(self) -> None:
         buffer = bytearray(65536)
         dropped = 0
-        told: Counter[str] = Counter()
+        reported: Counter[str] = Counter()
         while not self._stop.is_set():
             try:
                 length, (address, *_) = self._socket.recvfrom_into(buffer)
@@ -148,7 +148,7 @@ class Receiver:
             if revolution is None:
                 continue
             count_losses(revolution.quality, self._report)
-            told = self._tell(told)
+            reported = self._report_counters(reported)
             revolution = replace(revolution, quality=replace(revolution.quality, dropped_frames=dropped))
             dropped = self._offer(revolution)
 
@@ -166,10 +166,10 @@ class Receiver:
             log.warning("UDP port %d also gets packets of %s; they are not used", self.port, stranger)
         return True
 
-    def _tell(self, told: Counter[str]) -> Counter[str]:
-        """Add what the parser has counted since ``told`` to the report."""
+    def _report_counters(self, reported: Counter[str]) -> Counter[str]:
+        """Add to the report what the parser has counted beyond ``reported``; returns what has been reported then."""
         now = Counter({"packet of another kind": self._parser.rejected}) + self._parser.order.counters
-        for name, count in (now - told).items():
+        for name, count in (now - reported).items():
             self._report.bad_input(name, count)
         return now
 

@@ -24,8 +24,8 @@ def is_recording(path: Path) -> bool:
     return is_bag(path) or path.is_dir() or path.suffix.lower() in FRAME_SUFFIXES
 
 
-def tell_recording(path: Path) -> Iterator[tuple[str, bool]]:
-    """(line for a person, whether it tells of something that can be read).
+def describe_recording(path: Path) -> Iterator[tuple[str, bool]]:
+    """(line for a person, whether it names something that can be read).
 
     Raises:
         ConfigError: it does not exist, or is damaged.

@@ -16,11 +16,12 @@ from services.infra_lidar.input.spinning import PacketParser, SpinningParser
 
 
 class Kind(NamedTuple):
-    """Sensors that speak alike.
+    """Sensors of one packet protocol.
 
-    models: as ``sensors.model_of`` begins. port: UDP, as they leave the factory. parser: of the metadata that their
-    packets need and the azimuth (degrees) where turns are cut. decoder: of metadata. to_count: metadata with which
-    packets, turns and returns can be counted, but not measured; "" where there is no such.
+    models: how the names of ``sensors.model_of`` begin. port: UDP, as they leave the factory. parser: makes a parser
+    from the metadata that the packets need and the azimuth (degrees) where revolutions are cut. decoder: makes a
+    decoder from metadata. to_count: stand-in metadata with which packets and returns can be counted, but whose points
+    are wrong; "" = there are none.
     """
 
     models: tuple[str, ...]

@@ -107,7 +107,7 @@ def _expect_packets(layout: OusterFormat, path: Path, sender: Sender, url: Sourc
     if layout.packet_bytes not in sizes:
         seen = ", ".join(f"{count} of {size}" for size, count in sizes.most_common(3)) or "none"
         raise ConfigError(
-            f"source {url}: the metadata ({layout.profile_name}, {layout.beams} beams) tell packets of "
+            f"source {url}: the metadata ({layout.profile_name}, {layout.beams} beams) say packets of "
             f"{layout.packet_bytes} bytes, the capture has {seen} bytes ({sender.model}): metadata of another mode?"
         )
 
@@ -129,9 +129,9 @@ def decoded(packets: Iterator[tuple[int, bytes]], parser: PacketParser, report: 
 
 
 def frame_of(revolution: Revolution) -> Frame:
-    """The frame of a revolution that was received with its last packet."""
-    turn = revolution
-    return Frame(turn.range_image, turn.stamp_ns, turn.quality, turn.packets, turn.metadata, turn.kind)
+    """The frame of a revolution, received when its last packet came."""
+    r = revolution
+    return Frame(r.range_image, r.stamp_ns, r.quality, r.packets, r.metadata, r.kind)
 
 
 def count_losses(quality: FrameQuality, report: Report) -> None:

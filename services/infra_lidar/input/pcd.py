@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -46,27 +47,38 @@ def parse_pcd(data: bytes) -> np.ndarray:
     elif kind == "binary_compressed":
         fields = _pcd_columns(body, names, types, counts, count)
     else:
-        raise FrameError(f"DATA {kind} is no layout of PCD")
-    columns = [fields[axis] for axis in "xyz"]
+        raise FrameError(f"DATA {kind}: expected ascii, binary or binary_compressed")
     intensity = next((fields[n] for n in ("intensity", "i") if n in fields), None)
     ring = next((fields[n] for n in ("ring", "channel") if n in fields), None)
+    return point_columns([fields[axis] for axis in "xyz"], intensity, ring)
+
+
+def point_columns(xyz: Sequence[np.ndarray], intensity: np.ndarray | None, ring: np.ndarray | None) -> np.ndarray:
+    """(N, 3..5) float32 of columns (N,): x, y, z, then intensity and ring, as many as there are.
+
+    Where there is a ring and no intensity, the intensity is 0.
+    """
+    columns = list(xyz)
     if intensity is not None or ring is not None:
-        columns.append(intensity if intensity is not None else np.zeros(count))
+        columns.append(np.zeros(len(xyz[0])) if intensity is None else intensity)
     if ring is not None:
         columns.append(ring)
-    return np.ascontiguousarray(np.stack(columns, axis=1), np.float32)
+    points = np.empty((len(xyz[0]), len(columns)), np.float32)
+    for k, column in enumerate(columns):
+        points[:, k] = column
+    return points
 
 
 def _point_count(header: dict[str, list[str]]) -> int:
     """Number of points; WIDTH x HEIGHT and POINTS have to agree."""
-    told = {}
+    counts = {}
     if "WIDTH" in header:
-        told["WIDTH x HEIGHT"] = int(header["WIDTH"][0]) * int(header.get("HEIGHT", ["1"])[0])
+        counts["WIDTH x HEIGHT"] = int(header["WIDTH"][0]) * int(header.get("HEIGHT", ["1"])[0])
     if "POINTS" in header:
-        told["POINTS"] = int(header["POINTS"][0])
-    if len(set(told.values())) != 1:
-        raise FrameError("; ".join(f"{name} says {count} points" for name, count in told.items()) or "no WIDTH")
-    count = next(iter(told.values()))
+        counts["POINTS"] = int(header["POINTS"][0])
+    if len(set(counts.values())) != 1:
+        raise FrameError("; ".join(f"{name} says {count} points" for name, count in counts.items()) or "no WIDTH")
+    count = next(iter(counts.values()))
     if not 0 < count <= MAX_POINTS:
         raise FrameError(f"{count} points")
     return count
@@ -74,7 +86,7 @@ def _point_count(header: dict[str, list[str]]) -> int:
 
 def _type_of(letter: str, size: int) -> str:
     if (letter, size) not in _PCD_TYPES:
-        raise FrameError(f"a field of type {letter} with {size} bytes is no type of PCD")
+        raise FrameError(f"no field of PCD has type {letter} and {size} bytes")
     return _PCD_TYPES[letter, size]
 
 

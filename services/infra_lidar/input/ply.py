@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from services.infra_lidar.input.pcd import MAX_POINTS, FrameError
+from services.infra_lidar.input.pcd import MAX_POINTS, FrameError, point_columns
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -48,14 +48,11 @@ def parse_ply(data: bytes) -> np.ndarray:
     if not 0 < vertex.number <= MAX_POINTS:
         raise FrameError(f"{vertex.number} points")
     rows = _ascii(body, before, vertex) if form == "ascii" else _binary(body, before, vertex, _ORDER[form])
-    columns = [rows[axis] for axis in "xyz"]
     intensity = next((rows[name] for name in _INTENSITY if name in vertex.properties), None)
+    if intensity is not None:
+        intensity = np.clip(np.nan_to_num(intensity), 0, 255)
     ring = next((rows[name] for name in _RING if name in vertex.properties), None)
-    if intensity is not None or ring is not None:
-        columns.append(np.zeros(len(rows)) if intensity is None else np.clip(np.nan_to_num(intensity), 0, 255))
-    if ring is not None:
-        columns.append(ring)
-    return np.stack(columns, axis=1).astype(np.float32)
+    return point_columns([rows[axis] for axis in "xyz"], intensity, ring)
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], bytes]:

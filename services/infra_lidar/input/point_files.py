@@ -16,12 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from services.infra_lidar.input.las import parse_las
-from services.infra_lidar.input.pcd import FrameError, parse_pcd
+from services.infra_lidar.input.pcd import MAX_POINTS, FrameError, parse_pcd, point_columns
 from services.infra_lidar.input.ply import parse_ply
 
 POINTS_OF = {".pcd": parse_pcd, ".ply": parse_ply, ".las": parse_las, ".laz": parse_las}
 FRAME_SUFFIXES = (".npz", ".pcd", ".bin", ".npy", ".ply", ".las", ".laz")
-MAX_POINTS = 5_000_000
 ENOUGH_POINTS = 10_000  # to tell how far half of them are
 FARTHEST_MEDIAN_M = 400.0  # half of the points are farther: then these are no metres
 LAYOUTS = {3: ("x", "y", "z"), 4: ("x", "y", "z", "intensity"), 5: ("x", "y", "z", "intensity", "ring")}
@@ -176,12 +175,9 @@ def _named(rows: np.ndarray, columns: tuple[str, ...]) -> np.ndarray:
     elif _contradiction(rows, rows.shape[1]):
         raise FrameError(f"{_contradiction(rows, rows.shape[1])}; {_HOW_TO_TELL}")
     names = list(columns or LAYOUTS[rows.shape[1]])
-    chosen = [rows[:, names.index(name)] for name in "xyz"]
-    if "intensity" in names or "ring" in names:
-        chosen.append(rows[:, names.index("intensity")] if "intensity" in names else np.zeros(len(rows)))
-    if "ring" in names:
-        chosen.append(rows[:, names.index("ring")])
-    return np.ascontiguousarray(np.stack(chosen, axis=1), np.float32)
+    columns_by_name = dict(zip(names, rows.T, strict=True))
+    xyz = [columns_by_name[axis] for axis in "xyz"]
+    return point_columns(xyz, columns_by_name.get("intensity"), columns_by_name.get("ring"))
 
 
 def parse_npz(data: bytes) -> FileFrame:
@@ -198,28 +194,24 @@ def parse_npz(data: bytes) -> FileFrame:
         if xyz.ndim < 2 or xyz.shape[-1] != 3 or xyz.size > 3 * MAX_POINTS:
             raise FrameError(f"xyz has shape {xyz.shape}, expected (..., 3)")
         shape = xyz.shape[:-1]
-        columns = [xyz.reshape(-1, 3)]
         intensity = next((file[n] for n in ("intensity", "reflectivity") if n in file), None)
-        ring = next((file[n] for n in ("ring",) if n in file), None)
+        ring = file.get("ring")
         if ring is None and len(shape) == 2:  # an organised cloud: rows are beams
             ring = np.broadcast_to(np.arange(shape[0])[:, None], shape)
-        if intensity is not None or ring is not None:
-            columns.append(_column(intensity, shape))
-        if ring is not None:
-            columns.append(_column(ring, shape))
-        points = np.hstack(columns)
+        points = point_columns(list(xyz.reshape(-1, 3).T), _column(intensity, shape), _column(ring, shape))
         if "range_mm" in file:
             points = points[file["range_mm"].ravel() > 0]
         stamp_s = float(file["stamp"]) if "stamp" in file else None
-    return FileFrame(np.ascontiguousarray(points, np.float32), stamp_s)
+    return FileFrame(points, stamp_s)
 
 
-def _column(values: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+def _column(values: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray | None:
+    """(N,) of an array with a value for each point; None without one."""
     if values is None:
-        return np.zeros((int(np.prod(shape)), 1), np.float32)
+        return None
     if values.shape != shape:
         raise FrameError(f"a column of shape {values.shape} does not belong to points {shape}")
-    return np.clip(values, 0, 255).astype(np.float32).reshape(-1, 1)
+    return np.clip(values, 0, 255).ravel()
 
 
 def _stamp_in_name(name: str) -> float | None:

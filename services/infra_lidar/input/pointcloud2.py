@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from services.infra_lidar.input.pcd import MAX_POINTS, FrameError
+from services.infra_lidar.input.pcd import MAX_POINTS, FrameError, point_columns
 from services.infra_lidar.input.point_files import in_metres
 
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
@@ -60,17 +60,9 @@ def points_of_message(cloud: PointCloud2) -> np.ndarray:
     ring = next((fields[name] for name in RING_NAMES if name in fields), None)
     chosen = [*(fields[axis] for axis in "xyz"), *(field for field in (intensity, ring) if field is not None)]
     rows = _rows(cloud, chosen)
-    columns = [rows[field.name] for field in chosen[:3]]
-    if intensity is not None:
-        columns.append(np.clip(np.nan_to_num(rows[intensity.name]), 0, BRIGHTEST))
-    elif ring is not None:
-        columns.append(np.zeros(rows.shape, np.float32))
-    if ring is not None:
-        columns.append(rows[ring.name])
-    points = np.empty((rows.size, len(columns)), np.float32)
-    for k, column in enumerate(columns):
-        points[:, k] = column.ravel()
-    return in_metres(points)
+    brightness = None if intensity is None else np.clip(np.nan_to_num(rows[intensity.name]), 0, BRIGHTEST).ravel()
+    rings = None if ring is None else rows[ring.name].ravel()
+    return in_metres(point_columns([rows[field.name].ravel() for field in chosen[:3]], brightness, rings))
 
 
 def _rows(cloud: PointCloud2, chosen: Sequence[PointField]) -> np.ndarray:

@@ -87,16 +87,22 @@ class RangeImageArrays(NamedTuple):
 
 
 @kernel
-def write_point(image: RangeImageArrays, row: int, i: int, point: np.ndarray) -> None:
-    """Write x, y, z (m, sensor frame), intensity and ring of range ``i`` of ``row`` to point (5,) float32."""
+def write_xyz(image: RangeImageArrays, row: int, i: int, point: np.ndarray) -> None:
+    """Write x, y, z (m, sensor frame) of range ``i`` of ``row`` to point (3 or more,) float32."""
     r, beam, cos, sin = image.range_m[row, i], image.bank[row] * image.range_m.shape[1] + i, image.cos, image.sin
     x = r * image.beams[0, beam] + image.beams[3, beam]
     y = r * image.beams[1, beam] + image.beams[4, beam]
     point[0] = cos[row] * x - sin[row] * y
     point[1] = sin[row] * x + cos[row] * y
     point[2] = r * image.beams[2, beam] + image.beams[5, beam]
+
+
+@kernel
+def _write_point(image: RangeImageArrays, row: int, i: int, point: np.ndarray) -> None:
+    """Write x, y, z (m, sensor frame), intensity and ring of range ``i`` of ``row`` to point (5,) float32."""
+    write_xyz(image, row, i, point)
     point[3] = image.intensity[row, i]
-    point[4] = image.beams[6, beam]
+    point[4] = image.beams[6, image.bank[row] * image.range_m.shape[1] + i]
 
 
 @kernel
@@ -107,7 +113,7 @@ def project(image: RangeImageArrays) -> np.ndarray:
     for row in range(rows):
         for i in range(width):
             if image.range_m[row, i] > 0.0:
-                write_point(image, row, i, points[row * width + i])
+                _write_point(image, row, i, points[row * width + i])
     return points
 
 
@@ -120,6 +126,6 @@ def project_returns(image: RangeImageArrays, every: int) -> np.ndarray:
     for row in range(0, rows, every):
         for i in range(width):
             if image.range_m[row, i] > 0.0:
-                write_point(image, row, i, points[m])
+                _write_point(image, row, i, points[m])
                 m += 1
     return points[:m]

@@ -16,7 +16,7 @@ from services.infra_lidar.input.range_image import RangeImage
 from services.infra_lidar.sensor_health import FrameQuality
 
 FULL_COVERAGE = 0.97  # of the directions that the sensor sends: then a revolution is complete
-WINDOW_TURNS = 10  # the field of view is what was seen in any of the last so many turns
+WINDOW_TURNS = 10  # the field of view is what was seen in any of this many last turns
 NARROWEST_DARK_DEG = 45  # that a window leaves out
 RECENT_PACKETS = 32  # a mirror port sends a packet again right behind itself, a switch swaps neighbours
 BATCH_PACKETS = 64  # decoded together, a tenth of a revolution
@@ -147,11 +147,7 @@ class FieldOfView:
 
 
 class RevolutionAssembler:
-    """Collects the packets of a revolution and decodes them.
-
-    ``revolutions``, ``incomplete`` and ``lost`` count since the start: all revolutions, those that leave out a part of
-    the circle, and packets that are missing.
-    """
+    """Collects the packets of a revolution and decodes them."""
 
     def __init__(self, decoder: PacketDecoder) -> None:
         self._decoder = decoder
@@ -162,9 +158,6 @@ class RevolutionAssembler:
         self._last_deg = 0.0
         self._lost = 0
         self._stamp_ns = 0
-        self.revolutions = 0
-        self.incomplete = 0
-        self.lost = 0
 
     def add(self, packet: bytes, first_deg: float, last_deg: float, stamp_ns: int, lost: int) -> None:
         """One packet that saw the directions from ``first_deg`` to ``last_deg``, with ``lost`` missing before it.
@@ -180,7 +173,6 @@ class RevolutionAssembler:
         expected = round(lost * self._view.share(self._last_deg, first_deg)) if lost > 0 else lost
         self._last_deg = last_deg
         self._lost += expected
-        self.lost += expected
         self._stamp_ns = max(stamp_ns, self._stamp_ns)
 
     @property
@@ -203,8 +195,6 @@ class RevolutionAssembler:
         image = join_rows(self._parts)
         decoder = self._decoder
         revolution = Revolution(image, self._stamp_ns, quality, self._packets, decoder.metadata, decoder.kind)
-        self.revolutions += 1
-        self.incomplete += not complete
         self._packets, self._parts, self._lost, self._covered = [], [], 0, 0
         return revolution
 

@@ -66,7 +66,7 @@ def is_plus(packet: bytes) -> bool:
 
 
 def is_difop(packet: bytes) -> bool:
-    """Whether a packet tells beam angles."""
+    """Whether a packet is a DIFOP packet, which holds the beam angles."""
     return len(packet) == PACKET_BYTES and packet[:8] == DIFOP and packet[1246:] == DIFOP_TAIL
 
 
@@ -74,7 +74,7 @@ def read_difop(packet: bytes) -> RobosenseAngles:
     """The beam angles in a DIFOP packet.
 
     Raises:
-        CalibrationError: it is none, or none of a calibrated Ruby.
+        CalibrationError: it is no such packet, or not of a calibrated Ruby.
     """
     if not is_difop(packet):
         raise CalibrationError("not a DIFOP packet of a RoboSense Ruby")
@@ -150,10 +150,10 @@ def head(packet: bytes) -> PacketHead | None:
 
 
 def robosense_format(metadata: str) -> SensorFormat:
-    """How the sensor speaks whose angles are in ``metadata``, see ``as_metadata``.
+    """The packet format of a sensor with the angles in ``metadata``, see ``as_metadata``.
 
     Raises:
-        CalibrationError: they are none of a Ruby.
+        CalibrationError: they are not a Ruby's.
     """
     try:
         document = json.loads(metadata)

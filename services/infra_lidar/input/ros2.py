@@ -16,7 +16,7 @@ from common.ros2.reader import Arrived, TopicReader
 from common.ros2.source import RosTopic, ros_session, ros_topic
 from common.source_url import SourceUrl
 from services.infra_lidar.input import robosense
-from services.infra_lidar.input.bags import BagError, packets_of
+from services.infra_lidar.input.bags import CLOUD, BagError, packets_of
 from services.infra_lidar.input.calibration_files import read_hesai, read_ouster, read_robosense
 from services.infra_lidar.input.hesai_calibration import CalibrationError
 from services.infra_lidar.input.models import KINDS
@@ -28,9 +28,7 @@ from services.infra_lidar.input.sensors import model_of
 from services.infra_lidar.input.spinning import PacketParser
 from services.infra_lidar.sensor_health import FrameQuality
 
-CLOUD, VELODYNE, OUSTER = (
-    "sensor_msgs/msg/PointCloud2", "velodyne_msgs/msg/VelodyneScan", "ouster_sensor_msgs/msg/PacketMsg",
-)  # fmt: skip
+VELODYNE, OUSTER = "velodyne_msgs/msg/VelodyneScan", "ouster_sensor_msgs/msg/PacketMsg"
 NEBULA, RSLIDAR = "nebula_msgs/msg/NebulaPackets", "rslidar_msg/msg/RslidarPacket"
 KIND_OF_TYPE = {  # as in ``models.KINDS``; "" = of several, ?sensor= says which
     VELODYNE: "velodyne",
@@ -113,7 +111,7 @@ class Packets:
             raise PacketError("no DIFOP packet with the beam angles has come yet; ?calibration=FILE gives them")
         if not self._parser.accepts(packet):
             what = model_of(packet) or "an unknown sensor"
-            raise PacketError(f"packets of {what}, which are none of a {self._kind} that is read")
+            raise PacketError(f"packets of {what}, expected those of a supported {self._kind} sensor")
         return self._parser.feed(packet, stamp_ns)
 
     def _take_angles(self, packet: bytes) -> None:

@@ -13,7 +13,7 @@ from common.config import ConfigError
 from common.source_url import SourceUrl
 from services.infra_lidar.input.calibration_files import beside, captured_metadata
 from services.infra_lidar.input.captures import CaptureError, Datagram, read_capture
-from services.infra_lidar.input.look_recordings import is_recording, tell_recording
+from services.infra_lidar.input.look_recordings import describe_recording, is_recording
 from services.infra_lidar.input.models import KINDS, kind_of
 from services.infra_lidar.input.sensors import VLS128, Sender, model_of, returns_of
 from services.infra_lidar.input.spinning import PacketParser
@@ -29,13 +29,13 @@ NOTES_LIVE = {
 MAX_KEPT = 20_000  # packets of each sensor that are looked at: some seconds
 
 
-def tell_senders(where: str, seconds: float) -> bool:
-    """Write which lidars send in a capture or to a UDP port, or what a bag or files hold; whether there is anything."""
+def print_senders(where: str, seconds: float) -> bool:
+    """Write which lidars send in a capture or to a UDP port, or what a bag or files hold. False: nothing readable."""
     port = where.lstrip(":")
     if not port.isdigit() and is_recording(Path(where)):
-        told = list(tell_recording(Path(where)))
-        sys.stdout.writelines(f"{line}\n" for line, _ in told)
-        return any(readable for _, readable in told)
+        lines = list(describe_recording(Path(where)))
+        sys.stdout.writelines(f"{line}\n" for line, _ in lines)
+        return any(readable for _, readable in lines)
     datagrams = list(listen(int(port), seconds)) if port.isdigit() else list(_kept(Path(where)))
     for line in describe(datagrams, None if port.isdigit() else Path(where)):
         sys.stdout.write(line + "\n")

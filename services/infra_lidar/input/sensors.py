@@ -72,6 +72,7 @@ class Sender(NamedTuple):
 
     @property
     def supported(self) -> bool:
+        """Whether this service decodes its packets."""
         return self.model.startswith(SUPPORTED)
 
     def __str__(self) -> str:

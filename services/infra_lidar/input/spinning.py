@@ -1,4 +1,4 @@
-"""The decoder contract: how a lidar with a turning head speaks, and the parser that all of them share. No I/O.
+"""The decoder contract: the packet format of a spinning lidar, and the parser that all of them share. No I/O.
 
 A sensor gives two pure functions. ``head`` reads the few bytes that tell where in a turn a packet lies, for every
 packet as it comes. ``decode`` makes ranges of many packets at once. What a sensor needs beside its packets (beam
@@ -33,9 +33,9 @@ class PacketHead(NamedTuple):
 
 @dataclass(frozen=True)
 class SensorFormat:
-    """How one sensor speaks.
+    """The packet format of one sensor.
 
-    kind: as in ``models.KINDS``. head: of a packet, None if it is none of this sensor. decode: packets (P, B) uint8 of
+    kind: as in ``models.KINDS``. head: of a packet, None if it is not this sensor's. decode: packets (P, B) uint8 of
     one size, each with a head, to the rows that they hold. period: where ``position`` begins again. farthest: a step
     beyond this is no gap but a sensor that has started anew. metadata: what the format was made of, "" where nothing is
     needed.
@@ -57,8 +57,8 @@ class SensorFormat:
 class PacketParser(Protocol):
     """What the parsers of all sensors have in common.
 
-    ``rejected`` counts packets of another kind, ``order`` doubled, late and damaged ones; ``assembler`` counts lost
-    packets and incomplete revolutions.
+    ``rejected`` counts packets of another kind, ``order`` doubled, late and damaged ones. ``assembler`` holds the
+    revolution that is not complete yet.
     """
 
     rejected: int
@@ -114,7 +114,7 @@ class SpinningParser:
         return ended
 
     def _watch_direction(self, step_deg: float) -> None:
-        """Count once in a while that a sensor turns the way for which its turns are not told apart."""
+        """Count, once in BACKWARD_PACKETS, that the head turns the other way, in which revolutions cannot be cut."""
         self._backward = self._backward + 1 if -BACK_DEG <= step_deg < 0.0 else 0 if step_deg > 0.0 else self._backward
         if self._backward == BACKWARD_PACKETS:
             self.order.counters[WRONG_WAY] += 1

@@ -174,9 +174,8 @@ class Background:
 def foreground_of(returns: Returns, model: BackgroundModel, near_m: float) -> Foreground:
     """Returns that do not lie within the ranges of a model; ``near_m``: distance below which returns count as near."""
     if isinstance(returns, RangeImage):
-        image = kernels.ImageArrays(returns.range_m, returns.cos, returns.sin, returns.bank, returns.beams)
         first = _first_cells(returns, model.columns)
-        return Foreground(*kernels.foreground_of_image(image, first, model.intervals_m, near_m))
+        return Foreground(*kernels.foreground_of_image(returns.arrays, first, model.intervals_m, near_m))
     points = np.ascontiguousarray(returns, np.float32)
     return Foreground(*kernels.foreground_of_points(points, model.grid, model.intervals_m, near_m))
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from services.infra_lidar.input.range_image import RangeImageArrays, write_xyz
 from services.infra_lidar.jit import kernel
 from services.infra_lidar.segmentation.ground_kernels import MAX_RANGE_M, MIN_RANGE_M
 
@@ -48,16 +49,6 @@ class RangeModes(NamedTuple):
     road_user_frames: np.ndarray
     latest: np.ndarray
     switches: np.ndarray
-
-
-class ImageArrays(NamedTuple):
-    """Arrays of a ``RangeImage``."""
-
-    range_m: np.ndarray
-    cos: np.ndarray
-    sin: np.ndarray
-    bank: np.ndarray
-    beams: np.ndarray
 
 
 @kernel
@@ -207,7 +198,7 @@ def foreground_of_points(
 
 @kernel
 def foreground_of_image(
-    image: ImageArrays, first: np.ndarray, intervals_m: np.ndarray, near_m: float
+    image: RangeImageArrays, first: np.ndarray, intervals_m: np.ndarray, near_m: float
 ) -> tuple[np.ndarray, np.ndarray, int, int]:
     """The same for a range image; first: (R,) int cell of the first range of each row, the others of a row follow."""
     rows, width = image.range_m.shape
@@ -223,19 +214,7 @@ def foreground_of_image(
             if not _is_background(r, intervals_m[cell + i]):
                 index[m] = row * width + i
                 m += 1
-    return _points_at(image, index[:m]), index[:m], returns, near
-
-
-@kernel
-def _points_at(image: ImageArrays, index: np.ndarray) -> np.ndarray:
-    """(M, 3) float32 x, y, z (m, sensor frame) of places of a range image, index (M,)."""
-    width, beams = image.range_m.shape[1], image.beams
-    points = np.empty((len(index), 3), np.float32)
-    for k in range(len(index)):
-        row, i = divmod(index[k], width)
-        r, beam = image.range_m[row, i], image.bank[row] * width + i
-        c, s = image.cos[row], image.sin[row]
-        x, y = r * beams[0, beam] + beams[3, beam], r * beams[1, beam] + beams[4, beam]
-        points[k, 0], points[k, 1] = c * x - s * y, s * x + c * y
-        points[k, 2] = r * beams[2, beam] + beams[5, beam]
-    return points
+    points = np.empty((m, 3), np.float32)
+    for k in range(m):
+        write_xyz(image, index[k] // width, index[k] % width, points[k])
+    return points, index[:m], returns, near

@@ -97,10 +97,6 @@ class Ground:
         plane = self.surface[ring, np.minimum((turn * s.sectors).astype(int), s.sectors - 1)]
         return np.asarray(plane[:, 0] + plane[:, 1] * x_m + plane[:, 2] * y_m, np.float32)
 
-    def road_below(self, places: np.ndarray) -> np.ndarray:
-        """The same below the first two columns of (K, 2+): x, y."""
-        return self.road_height(places[:, 0], places[:, 1])
-
     def sectors_seen(self, levelled: Levelled) -> int:
         """Number of sectors with a point inside the limits."""
         s = self._settings

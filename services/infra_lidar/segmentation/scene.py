@@ -20,6 +20,8 @@ from services.infra_lidar.sensor_health import FrameStatistics
 
 MIN_SHARE = 0.6  # of a cluster's points that must lie within fixed things
 LOW, HIGH = 0, 1  # layers: below and above a body's height
+ROAD_USER_CONFIDENCE = 0.7  # a cluster of this confidence keeps its place from becoming background
+SAMPLE_EVERY = 13  # of the points; an odd step, so that every beam is among them
 
 
 class StaticMap:
@@ -59,10 +61,6 @@ class StaticMap:
     def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Row and column (N,) of the grid for (N, 2+) x, y; places outside are in the outermost cells."""
         return self._grid.cells(points[:, 0], points[:, 1])
-
-
-ROAD_USER_CONFIDENCE = 0.7  # from here on a cluster speaks against its place being background
-SAMPLE_EVERY = 13  # of the points, odd: so that every beam is among them
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +119,7 @@ class Scene:
         """
         self._complete = complete and not calibration.refused
         if calibration.refused:
-            return _nothing(returns)
+            return _without_obstacles(returns)
         foreground = self._subtract_background(returns)
         if foreground is None:
             return self._segment_whole(stamp_ns, returns, calibration)
@@ -145,7 +143,8 @@ class Scene:
         users = self.background.learn(stamp_ns, returns, segmentation.ground, is_road_user, self.ground.surface)
         if self.background.model is None or users is None:
             return None
-        static_map = self._static_map.draw(segmentation.obstacles, (road_user > 0.0) | users)  # the unsure may leave
+        may_drive_off = (road_user > 0.0) | users  # however unsure the class is
+        static_map = self._static_map.draw(segmentation.obstacles, may_drive_off)
         self.background.model = replace(self.background.model, static_map=static_map)
         foreground = self.background.subtract_background(returns, self._config.blindness.near_m)
         if foreground is None:
@@ -193,7 +192,7 @@ class Scene:
     ) -> Segmentation:
         model, T = self.background.model, calibration.T_level_sensor
         assert model is not None
-        if self._monitor.due(stamp_ns):  # now and then background is looked at, too
+        if self._monitor.due(stamp_ns):  # the calibration is checked on the road, which is background
             sample = sample_of(returns, SAMPLE_EVERY)
             self._watch_sensor(stamp_ns, sample, self.ground.level_only(sample, T))
         obstacles = self.ground.remove_ground_with_map(foreground.points, foreground.index, T, model.surface)
@@ -210,7 +209,7 @@ class Scene:
             self._monitor.monitor(stamp_ns, np.stack((levelled.x, levelled.y, levelled.z), axis=1))
 
 
-def _nothing(returns: Returns) -> Segmentation:
+def _without_obstacles(returns: Returns) -> Segmentation:
     empty = Obstacles(np.empty((0, 4), np.float32), np.empty(0, np.int32), np.zeros(len(returns), bool))
     return Segmentation(empty, FrameStatistics(count_of(returns), 0, 0, 0), None)
 

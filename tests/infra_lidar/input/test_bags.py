@@ -25,7 +25,7 @@ from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.input.bags import BagError, open_bag, packets_of
 from services.infra_lidar.input.ouster import OusterFormat
 from services.infra_lidar.input.packets import Frame
-from services.infra_lidar.input.senders import tell_senders
+from services.infra_lidar.input.senders import print_senders
 from services.infra_lidar.input.source import open_source
 from tests.infra_lidar.made_packets import metadata, ouster_packet, vls_packet
 from tests.infra_lidar.robosense_packets import Msop, difop
@@ -278,17 +278,17 @@ def test_a_damaged_bag_is_refused_or_gives_what_can_be_read(
 
 def test_look_says_what_is_in_a_bag_and_how_to_read_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write(tmp_path / "bag", [*clouds(), *scans(1)])
-    assert tell_senders(str(path), 1.0)
+    assert print_senders(str(path), 1.0)
     told = capsys.readouterr().out
     assert "/points (sensor_msgs/msg/PointCloud2): 3 messages of 2 points, 10.0 a second" in told
     assert "/velodyne_packets (velodyne_msgs/msg/VelodyneScan), Velodyne VLS-128: 7 messages of 100 packets" in told
     assert f'source = "file:{path}?topic=/velodyne_packets"' in told
     nothing = write(tmp_path / "tf", [("/tf", "std_msgs/msg/String", 1, build("std_msgs/msg/String", data="x"))])
-    assert not tell_senders(str(nothing), 1.0)
+    assert not print_senders(str(nothing), 1.0)
     assert "no clouds and no packets of a lidar that we know; in the bag: /tf" in capsys.readouterr().out
     (tmp_path / "x.bag").write_bytes(b"x")
     with pytest.raises(ConfigError, match="no ROS bag"):
-        tell_senders(str(tmp_path / "x.bag"), 1.0)
+        print_senders(str(tmp_path / "x.bag"), 1.0)
 
 
 def test_a_topic_that_is_not_there(tmp_path: Path) -> None:

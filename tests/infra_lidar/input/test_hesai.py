@@ -160,7 +160,9 @@ def test_without_a_sequence_number_the_time_counts() -> None:
     ]
     for k, packet in enumerate([*packets[:7], *packets[9:]]):
         parser.feed(packet, k)
-    assert parser.assembler.lost == 2
+    revolution = parser.assembler.finish()
+    assert revolution is not None
+    assert revolution.quality.packets_lost == 2
 
 
 def test_what_the_sensor_says_of_itself_is_counted_once() -> None:

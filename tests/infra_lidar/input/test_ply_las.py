@@ -17,7 +17,7 @@ from common.bus.status import Report
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.input.pcd import FrameError
 from services.infra_lidar.input.point_files import parse_frame
-from services.infra_lidar.input.senders import tell_senders
+from services.infra_lidar.input.senders import print_senders
 from services.infra_lidar.input.source import open_source
 
 ROWS = np.array([[1.0, 2.0, 3.0, 40.0, 5.0], [-1.0, 0.5, 0.25, 255.0, 127.0]], np.float32)
@@ -173,10 +173,10 @@ def test_they_are_sources_and_look_tells_of_them(
         (tmp_path / f"{k}.{suffix}").write_bytes(las() if suffix == "las" else ply())
     frames = list(open_source(InfraLidarConfig(source=f"file:{tmp_path}?rate=0"), Report("test")))
     assert [len(frame.points) for _, frame in frames] == [2, 2]
-    assert tell_senders(str(tmp_path), 1.0)
+    assert print_senders(str(tmp_path), 1.0)
     told = capsys.readouterr().out
     assert f"0.{suffix}: 2 points (x, y, z, intensity, ring), 1.1 to 3.7 m away" in told
     assert f'source = "file:{tmp_path}"' in told
     (tmp_path / f"wrong.{suffix}").write_bytes(b"wrong")
-    assert not tell_senders(str(tmp_path / f"wrong.{suffix}"), 1.0)
+    assert not print_senders(str(tmp_path / f"wrong.{suffix}"), 1.0)
     assert "no header of a" in capsys.readouterr().out
