@@ -13,6 +13,7 @@ class Stopwatch:
         self._last_s = perf_counter()
 
     def lap(self, name: str) -> None:
+        """Book the time since the last lap under ``name``."""
         now_s = perf_counter()
         self.stage_ms[name] = (now_s - self._last_s) * 1e3
         self._last_s = now_s

@@ -67,6 +67,7 @@ class ServiceRow:
 
     @property
     def script(self) -> str:
+        """The console command of the service."""
         return "spotter-" + self.name.replace("_", "-")
 
 

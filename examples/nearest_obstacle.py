@@ -12,6 +12,7 @@ from spotter_client import CameraDetections, LidarZones, RadarTracks, connect
 
 
 def main(endpoint: str = "tcp/127.0.0.1:7447") -> dict[str, float | None]:
+    """Print and return the nearest distance (m) by sensor; None = nothing seen."""
     with connect(endpoint) as bus:
         zones = bus.latest("jetson0/lidar/zones", LidarZones)
         radar = bus.latest("pi0/radar/tracks", RadarTracks)

@@ -87,6 +87,7 @@ def listen(router: str, topic: str, type_: str, count: int, seconds: float) -> i
 
 
 def main() -> int:
+    """The command line above; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("points", "listen"))
     parser.add_argument("topic_and_type", nargs="*")

@@ -12,6 +12,7 @@ from spotter_client import Verdict, connect
 
 
 def main(endpoint: str = "tcp/127.0.0.1:7447", seconds: float = 10.0) -> list[str]:
+    """Print and return a line for each new verdict."""
     lines: list[str] = []
     shown = ("", "")
     with connect(endpoint) as bus:

@@ -13,6 +13,7 @@ from spotter_client import ServiceOnBus, connect
 
 
 def main(endpoint: str = "tcp/127.0.0.1:7447") -> list[ServiceOnBus]:
+    """Print and return the services that are on the bus."""
     with connect(endpoint) as bus:
         services = bus.services()
     for service in services:

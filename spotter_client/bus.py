@@ -47,10 +47,12 @@ class ServiceOnBus:
 
     @property
     def state(self) -> ServiceState | None:
+        """The service's own state; None while it does not answer."""
         return self.status.state if self.status else None
 
     @property
     def reason(self) -> str:
+        """Why it is not online, in a sentence for a person."""
         return self.status.reason if self.status else "the process is there but does not answer"
 
 

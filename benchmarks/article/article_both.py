@@ -58,11 +58,13 @@ class Timed:
     stages: dict[str, list[float]] = field(default_factory=dict)
 
     def add(self, name: str, since_s: float) -> float:
+        """Book the time since ``since_s`` (thread time) under a stage; returns now."""
         now_s = thread_time()
         self.stages.setdefault(name, []).append((now_s - since_s) * 1e3)
         return now_s
 
     def median(self, name: str = "") -> float:
+        """Milliseconds of a stage, or of a whole frame without a name."""
         if name:
             return float(np.median(self.stages[name]))
         return float(np.median(self.whole()))
@@ -126,6 +128,7 @@ class TimedPlain(PlainPipeline):
         self.timed = Timed()
 
     def process(self, frame: Frame) -> dict[str, np.ndarray]:  # type: ignore[override]
+        """One frame: centres (K, 3) and labels (K,) of its clusters."""
         t = thread_time()
         _, rest = ground_and_rest(frame.points, frame.T_level_sensor)
         kept = np.flatnonzero(rest)

@@ -54,6 +54,7 @@ class Presence:
             return {i for i in self._alive if host in (None, i[0]) and service in (None, i[1])}
 
     def close(self) -> None:
+        """Stop listening."""
         undeclare(self._subscriber)
 
     def _receive(self) -> None:

@@ -155,6 +155,7 @@ class Latest(Generic[M]):
         return taken
 
     def close(self) -> None:
+        """Stop listening."""
         undeclare(self._subscriber)
 
     def _receive(self) -> None:

@@ -32,6 +32,7 @@ class Watchdog:
         self._ready = True
 
     def alive(self) -> None:
+        """The work made progress."""
         self._send("WATCHDOG=1")
         if self._file is not None:
             self._file.touch()

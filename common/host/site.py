@@ -60,6 +60,7 @@ class HostConfig(Section, frozen=True, kw_only=True):
 
     @property
     def loopback(self) -> str:
+        """The endpoint of this host's router for its own services."""
         return f"tcp/127.0.0.1:{self.local_port}"
 
 

@@ -73,9 +73,11 @@ class Supervisor:
         self._inbox: Path | None = None
 
     def stop(self) -> None:
+        """Stop every child; ``run`` then returns."""
         self._stop.set()
 
     async def run(self) -> int:
+        """Keep every child running; returns the exit code."""
         with contextlib.ExitStack() as stack:
             with contextlib.suppress(OSError):  # a full disk must not prevent the start
                 self._inbox = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="spotter-")))

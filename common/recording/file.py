@@ -58,6 +58,7 @@ class RecordingFile:
 
     @property
     def size_bytes(self) -> int:
+        """Bytes written so far."""
         return self._stream.tell()
 
     def add(self, key: str, message_type: type[Message], payload: bytes, log_ns: int, sent_ns: int, seq: int) -> None:
@@ -93,6 +94,7 @@ class RecordingFile:
         os.fdatasync(self._stream.fileno())
 
     def close(self) -> None:
+        """Write the index and close the file."""
         if not self._stream.closed:
             try:
                 self._writer.finish()

@@ -56,6 +56,7 @@ class Summary:
 
     @property
     def duration_s(self) -> float:
+        """From the first message to the last."""
         return (self.end_ns - self.start_ns) / 1e9
 
 

@@ -27,9 +27,11 @@ class Name(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     revoked: tuple[str, ...] = ()  # common names
 
     def common_name(self, name: str) -> str:
+        """What stands in the certificate: the name, and the generation after a new issue."""
         return name if self.generation == 1 else f"{name}.{self.generation}"
 
     def allowed(self, name: str) -> bool:
+        """Whether the newest certificate of the name is not revoked."""
         return self.common_name(name) not in self.revoked
 
 
@@ -43,6 +45,7 @@ class Names(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         return {n: e.common_name(n) for n, e in self.names.items() if e.kind == kind and e.allowed(n)}
 
     def with_name(self, name: str, entry: Name) -> Names:
+        """These names and one more, or another entry for one."""
         return Names(names={**self.names, name: entry})
 
 

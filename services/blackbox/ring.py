@@ -25,6 +25,7 @@ class Ring:
         self.size_bytes = 0
 
     def add(self, kept: Kept) -> None:
+        """Keep one message, and drop the oldest ones beyond the ring's time and size."""
         self._kept.append(kept)
         self.size_bytes += len(kept.payload)
         oldest_ns = kept.log_ns - self._keep_ns
@@ -32,4 +33,5 @@ class Ring:
             self.size_bytes -= len(self._kept.popleft().payload)
 
     def window(self, from_ns: int, to_ns: int) -> list[Kept]:
+        """What was kept between two UTC nanoseconds, both included."""
         return [kept for kept in self._kept if from_ns <= kept.log_ns <= to_ns]

@@ -44,10 +44,12 @@ class Axes:
 
     @property
     def range_min_m(self) -> float:
+        """Range of the first bin that is looked at."""
         return float(self.range_m[self.near_bin])
 
     @property
     def range_max_m(self) -> float:
+        """Range of the last bin that is looked at."""
         return float(self.range_m[self.far_bin - 1])
 
 

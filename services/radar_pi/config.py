@@ -161,6 +161,7 @@ class MountingConfig(Section, frozen=True, kw_only=True):
 
     @property
     def mount(self) -> Mount:
+        """Position in metres, direction in radians."""
         return Mount(self.x_m, self.y_m, math.radians(self.yaw_deg))
 
 

@@ -66,6 +66,7 @@ class Recorder:
         self._file.close()
 
     def write(self, stamp_ns: int, received_ns: int, frame: np.ndarray) -> None:
+        """Append one frame: UTC ns of its start and of its reception, raw samples."""
         self._file.write(write_frame(stamp_ns, received_ns, frame))
 
 

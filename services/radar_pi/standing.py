@@ -35,10 +35,12 @@ class SpeedScale:
 
     @property
     def mean(self) -> float:
+        """Estimate of the squared scale between true speed and speedometer."""
         return self._weighted / self._precision
 
     @property
     def variance(self) -> float:
+        """Variance of that estimate."""
         return 1.0 / self._precision
 
     def age(self, dt_s: float) -> None:

@@ -52,18 +52,22 @@ class Track:
 
     @property
     def confirmed(self) -> bool:
+        """Whether it has been published: such a track has an id."""
         return self.track_id > 0
 
     @property
     def range_m(self) -> float:
+        """Estimated range, not negative."""
         return max(0.0, float(self.state[RANGE]))
 
     @property
     def velocity_mps(self) -> float:
+        """Estimated radial velocity, negative when it approaches."""
         return float(self.state[VELOCITY])
 
     @property
     def azimuth_rad(self) -> float | None:
+        """Estimated azimuth; None before it was measured."""
         return float(self.state[AZIMUTH]) if self.has_azimuth else None
 
 
@@ -85,6 +89,7 @@ class Tracker:
 
     @property
     def confirmed(self) -> list[Track]:
+        """The confirmed tracks."""
         return [track for track in self.tracks if track.confirmed]
 
     def update(self, stamp_ns: int, detections: list[Detection]) -> list[Track]:

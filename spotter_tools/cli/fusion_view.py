@@ -57,6 +57,7 @@ class FusionWatch:
 
     @property
     def has_decided(self) -> bool:
+        """Whether a verdict has come."""
         return self._verdict is not None
 
     def note_verdict(self, verdict: Verdict, now_s: float) -> None:

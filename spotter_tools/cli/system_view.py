@@ -63,6 +63,7 @@ class TopicView(msgspec.Struct, kw_only=True):
 
     @property
     def stale(self) -> bool:
+        """Whether the newest message is older than its limit."""
         return self.age_limit_s is not None and self.age_s > self.age_limit_s
 
 
@@ -136,6 +137,7 @@ class Observer:
         return bool(there) and reported and decided
 
     def overview(self) -> Overview:
+        """Everything as of now."""
         now_s = monotonic_s()
         with self._lock:
             fusions = self._fusions or {"": FusionWatch(self._started_s)}

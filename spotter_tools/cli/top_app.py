@@ -31,7 +31,8 @@ COLOURS = {
 class Looker(Protocol):
     """Whatever can say how things are now: the bus, or a test."""
 
-    def overview(self) -> Overview: ...
+    def overview(self) -> Overview:
+        """Everything as of now."""
 
 
 class TopApp(App[None]):

@@ -74,6 +74,7 @@ class Candidate:
 
     @property
     def pid(self) -> int:
+        """Process id."""
         return self.live.process.pid
 
     def ended(self) -> str:
@@ -85,6 +86,7 @@ class Candidate:
         return f"it ended with code {code}: {lines[-1] if lines else 'no output'}"
 
     def promote(self) -> None:
+        """Tell it to speak under the live keys."""
         self.live.process.send_signal(PROMOTE)
 
     def stop(self) -> None:

@@ -43,6 +43,7 @@ class TopicTap:
             self._news.notify_all()
 
     def since(self, start_s: float) -> list[Received]:
+        """Messages that arrived since a monotonic time; older ones are forgotten."""
         with self._news:
             self._heard = [heard for heard in self._heard if heard.arrived_s >= start_s]
             return list(self._heard)

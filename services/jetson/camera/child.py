@@ -77,6 +77,7 @@ class CaptureChild:
 
     @property
     def pid(self) -> int:
+        """Process id."""
         return self._process.pid
 
     def read(self, timeout_s: float) -> Frame:

@@ -26,10 +26,12 @@ class Server(uvicorn.Server):
         self._service = service
 
     async def on_tick(self, counter: int) -> bool:
+        """Show the watchdog that the event loop goes round."""
         self._service.report.beat()  # the watchdog's proof that the event loop goes round
         return await super().on_tick(counter)
 
     async def startup(self, sockets: list | None = None) -> None:
+        """Listen; a port that is taken is a wrong configuration."""
         try:
             await super().startup(sockets)
         except SystemExit:

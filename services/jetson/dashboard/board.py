@@ -26,6 +26,7 @@ class Entry:
     encoded: msgspec.Raw | None = None
 
     def json(self) -> msgspec.Raw:
+        """The message as JSON, encoded once."""
         if self.encoded is None:
             self.encoded = msgspec.Raw(_ENCODER.encode(to_builtins(self.message)))
         return self.encoded

@@ -71,6 +71,7 @@ class DashboardServer:
         self._clients = 0
 
     def app(self) -> Starlette:
+        """The pages, the API and the WebSocket behind the guard."""
         return Starlette(
             routes=[
                 Route("/", self._page),

@@ -50,6 +50,7 @@ class CanSignals:
 
     @property
     def frame_ids(self) -> tuple[int, ...]:
+        """Identifiers of the frames that hold a signal."""
         return tuple(self._signals)
 
     def measure(self, at_s: float, frame_id: int, data: bytes) -> Measurement | Rejected | None:

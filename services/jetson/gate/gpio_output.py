@@ -153,6 +153,7 @@ class GuardPort:
 
     @property
     def pid(self) -> int:
+        """Process id of the guard."""
         return self._process.pid
 
     def write(self, data: bytes) -> None:

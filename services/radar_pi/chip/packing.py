@@ -39,10 +39,12 @@ class Layout:
 
     @property
     def chirp_bytes(self) -> int:
+        """Bytes of one chirp in the FIFO."""
         return self.chirp_words * WORD_BYTES
 
     @property
     def frame_words(self) -> int:
+        """FIFO words of one frame."""
         return self.chirps * self.chirp_words
 
 

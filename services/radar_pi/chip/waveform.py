@@ -84,10 +84,12 @@ class Timing:
 
     @property
     def chirp_period_s(self) -> float:
+        """From the start of one chirp to that of the next."""
         return self.chirp / CLOCK_HZ
 
     @property
     def frame_period_s(self) -> float:
+        """From the start of one frame to that of the next."""
         return self.frame / CLOCK_HZ
 
     @property

@@ -34,6 +34,7 @@ class EmulatedFifo:
 
     @property
     def fill(self) -> int:
+        """Words that wait to be read."""
         return self._produced - self._consumed
 
     @property

@@ -45,11 +45,13 @@ class ReceiverPulse:
             self._us, self._at_ms = width_us, time.ticks_ms()
 
     def us(self):
+        """Width of the newest pulse (us); neutral once the receiver is lost."""
         fresh = time.ticks_diff(time.ticks_ms(), self._at_ms) < RECEIVER_LOST_MS
         return self._us if fresh else NEUTRAL_US
 
 
 def main():
+    """Pass frames to the motor and answer, for ever."""
     enable = machine.Pin(ENABLE, machine.Pin.OUT, value=0)
     led = machine.Pin(LED, machine.Pin.OUT, value=0)
     button = machine.Pin(BUTTON, machine.Pin.IN, machine.Pin.PULL_UP)
