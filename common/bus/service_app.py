@@ -41,7 +41,7 @@ def service_app(name: str, config_type: type[C], run: Callable[[C], object], doc
         rich_markup_mode=None,
     )
 
-    @app.callback(invoke_without_command=True)
+    @app.callback(invoke_without_command=True, help=app.info.help)
     def start(
         context: typer.Context,
         config: ConfigOption = None,
@@ -51,6 +51,7 @@ def service_app(name: str, config_type: type[C], run: Callable[[C], object], doc
             bool, typer.Option("--show-config", help="Print the effective configuration and stop.")
         ] = False,
     ) -> None:
+        """Run the service, unless a subcommand is named; its options are kept for the subcommands."""
         context.obj = (config, overrides, source)
         if context.invoked_subcommand is not None:
             return
@@ -118,6 +119,15 @@ def flag_as_command(arguments: list[str], command: str) -> list[str]:
         elif word != f"--{command}":
             own.append(word)
     return [*shared, command, *own]
+
+
+def run_app(app: typer.Typer, *flags: str) -> None:
+    """The console command: ``--FLAG FILE`` becomes the subcommand; what is wrong is said in a line."""
+    arguments = sys.argv[1:]
+    for flag in flags:
+        arguments = flag_as_command(arguments, flag)
+    with told_in_a_line():
+        app(args=arguments)
 
 
 def run_until_stopped(run: Callable[[], object]) -> NoReturn:

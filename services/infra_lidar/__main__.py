@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import gc
 import logging
-import sys
 
 import msgspec
 
 from common.bus.raw_tap import RawTap, changes
 from common.bus.runtime import Service
-from common.bus.service_app import flag_as_command, service_app
+from common.bus.service_app import run_app, service_app
 from common.bus.status import Report
-from common.config import ConfigError
 from common.topics import INFRA_CLUSTERS, INFRA_POINTS, INFRA_RAW, INFRA_TRACKS
 from services.infra_lidar.calibration.command import RecalibrationRequest, recalibrate
 from services.infra_lidar.calibration.store import Store
@@ -66,11 +64,7 @@ add_commands(app)
 
 def main() -> None:
     """The console command ``spotter-infra-lidar``."""
-    try:
-        app(args=flag_as_command(sys.argv[1:], "plot"))
-    except ConfigError as error:  # of a subcommand
-        sys.stderr.write(f"spotter: {error}\n")
-        raise SystemExit(2) from None
+    run_app(app, "plot")
 
 
 if __name__ == "__main__":

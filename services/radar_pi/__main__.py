@@ -5,8 +5,6 @@ Sources: spi:0.0 (DreamHAT+), spi:emulator, file:RECORDING?rate=1&loop=1, mcap:R
 
 from __future__ import annotations
 
-import sys
-
 import msgspec
 import typer
 
@@ -14,8 +12,7 @@ from common.bus.ego import EgoWatch
 from common.bus.look import add_look
 from common.bus.raw_tap import RawTap
 from common.bus.runtime import Service
-from common.bus.service_app import flag_as_command, service_app
-from common.config import ConfigError
+from common.bus.service_app import run_app, service_app
 from common.messages import EgoMotion
 from common.topics import EGO_MOTION, RADAR_DETECTIONS, RADAR_MOTION, RADAR_RAW, RADAR_TRACKS
 from services.radar_pi.config import RadarConfig
@@ -58,11 +55,7 @@ add_look(app, RadarConfig, looks)
 
 def main() -> None:
     """The console command ``spotter-radar``."""
-    try:
-        app(args=flag_as_command(flag_as_command(sys.argv[1:], "plot"), "record"))
-    except ConfigError as error:  # of a subcommand
-        sys.stderr.write(f"spotter: {error}\n")
-        raise SystemExit(2) from None
+    run_app(app, "plot", "record")
 
 
 if __name__ == "__main__":

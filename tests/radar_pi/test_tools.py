@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from services.radar_pi.__main__ import app
+from services.radar_pi.__main__ import app, main
 from services.radar_pi.config import WaveformConfig
 from services.radar_pi.emulator.signals import simulator_waveform
 from services.radar_pi.recording import Recorder, open_recording
@@ -34,7 +34,7 @@ def png_size(path: Path) -> tuple[int, int]:
 
 def test_plot_draws_a_picture(recording: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    result = CliRunner().invoke(app, ["--source", f"file:{recording}?rate=0", "--plot", str(tmp_path / "out.png")])
+    result = CliRunner().invoke(app, ["--source", f"file:{recording}?rate=0", "plot", str(tmp_path / "out.png")])
     assert result.exit_code == 0, result.output
     assert f"{tmp_path / 'out.png'}: the last of " in result.output
     width, height = png_size(tmp_path / "out.png")
@@ -44,18 +44,24 @@ def test_plot_draws_a_picture(recording: Path, tmp_path: Path) -> None:
 
 def test_record_writes_what_the_source_gave(recording: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy.radar"
-    arguments = ["--source", f"file:{recording}?rate=0", "--record", str(copy), "--frames", "7"]
+    arguments = ["--source", f"file:{recording}?rate=0", "record", str(copy), "--frames", "7"]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     assert f"{copy}: 7 frames" in result.output
     assert np.array_equal(open_recording(copy).frames, open_recording(recording).frames[:7])
 
 
-def test_a_wrong_recording_ends_with_code_two_and_the_reason(tmp_path: Path) -> None:
+@pytest.mark.parametrize("flag", ["--plot", "--record"])
+def test_a_wrong_recording_ends_with_code_two_and_the_reason(
+    flag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "x.radar").write_bytes(b"not a recording")
-    result = CliRunner().invoke(app, ["--source", f"file:{tmp_path / 'x.radar'}", "--plot", str(tmp_path / "o.png")])
-    assert result.exit_code == 2
-    assert "SPOTRADR" in result.output
+    arguments = ["--source", f"file:{tmp_path / 'x.radar'}", flag, str(tmp_path / "out")]
+    monkeypatch.setattr("sys.argv", ["spotter-radar", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "SPOTRADR" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

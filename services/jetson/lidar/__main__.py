@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import typer
@@ -11,7 +10,7 @@ from common.bus.ego import EgoWatch
 from common.bus.look import add_look
 from common.bus.raw_tap import RawTap
 from common.bus.runtime import Service
-from common.bus.service_app import flag_as_command, load_config, service_app, told_in_a_line
+from common.bus.service_app import load_config, run_app, service_app, told_in_a_line
 from common.bus.status import Report
 from common.clock import monotonic_s
 from common.messages import EgoMotion
@@ -65,7 +64,7 @@ def plot(
 
 def main() -> None:
     """The console command ``spotter-lidar``."""
-    app(args=flag_as_command(sys.argv[1:], "plot"))
+    run_app(app, "plot")
 
 
 if __name__ == "__main__":
