@@ -36,7 +36,6 @@ class Chassis:
 MODEL_CAR = Chassis("model", (0.40, 0.191, 0.25), 0.26, _at(0.10, 0.22), _at(0.20, 0.20), _at(0.16, 0.24))
 # A delivery cart of one metre width: sensors at the bumper and on the bonnet, the lidar's plane at knee height.
 CART = Chassis("cart", (1.60, 1.00, 1.00), 1.10, _at(0.75, 0.40), _at(0.80, 0.45), _at(0.70, 0.95))
-CHASSIS = {chassis.name: chassis for chassis in (MODEL_CAR, CART)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,12 +19,11 @@ Positive = Annotated[float, Meta(gt=0.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
 Probability = Annotated[float, Meta(gt=0.0, lt=1.0)]
 
-CHIP_FREQUENCY_HZ = (57.0e9, 64.0e9)  # what the synthesiser reaches; the data sheet specifies 58.0 to 63.5 GHz
-
 
 class WaveformConfig(Section, frozen=True, kw_only=True):
     """What the chip is told to send. The default sees walkers and a small car from 0.3 m to 6 m at up to 5 m/s."""
 
+    # The synthesiser reaches 57.0 to 64.0 GHz; the data sheet specifies 58.0 to 63.5 GHz.
     start_frequency_hz: Annotated[float, Meta(ge=57.0e9, le=64.0e9)] = 60.0e9  # when the transmitter turns on
     end_frequency_hz: Annotated[float, Meta(ge=57.0e9, le=64.0e9)] = 61.31e9  # when the ramp ends
     samples: Annotated[int, Meta(ge=16, le=4095)] = 128  # per chirp and receiver

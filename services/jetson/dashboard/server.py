@@ -32,7 +32,6 @@ from services.jetson.dashboard.on_earth import live_tracks
 from services.jetson.dashboard.source import BoardSource
 
 STATIC = Path(__file__).parent / "static"
-FIRST_WISH_S = 2.0
 COOKIE = "spotter_token"
 POLICY = (
     "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; connect-src 'self' ws: wss:; "

@@ -31,7 +31,8 @@ class Device(Protocol):
 
     origin: str
 
-    def readings(self) -> Readings: ...
+    def readings(self) -> Readings:
+        """Open the device and read it until it is lost."""
 
 
 class SerialLines:
@@ -153,8 +154,11 @@ class Imu:
 class EdgeSource(Protocol):
     """Edges of some lines: (monotonic seconds, GPIO number, rising). ``OSError`` when the chip is lost."""
 
-    def wait(self, timeout_s: float) -> list[tuple[float, int, bool]]: ...
-    def close(self) -> None: ...
+    def wait(self, timeout_s: float) -> list[tuple[float, int, bool]]:
+        """The edges since the last call; none when the time is over first."""
+
+    def close(self) -> None:
+        """Release the lines."""
 
 
 class GpioEdges:

@@ -15,6 +15,7 @@ from services.jetson.ego.plausible import Limits, SignalCheck
 
 STANDS_MPS = 0.02
 SIGMA_MPS, SIGMA_RADPS = 0.05, 0.05  # of a device that does not say how well it measures
+STEERING_RAD, STEERING_RADPS, BATTERY_V = 1.6, 100.0, 1000.0  # more is nonsense on any vehicle
 SIMULATED = "simulated"
 
 
@@ -122,8 +123,8 @@ class Odometer:
                 rate = limits.max_yaw_acceleration_radps2
                 return Limits(limits.max_yaw_rate_radps, rate, limits.stuck_s, noisy=origin == "imu", tolerance=0.3)
             case "steering":
-                return Limits(1.6, 100.0, float("inf"), tolerance=0.3)
-        return Limits(1000.0, 1e6, float("inf"))
+                return Limits(STEERING_RAD, STEERING_RADPS, float("inf"), tolerance=0.3)
+        return Limits(BATTERY_V, 1e6, float("inf"))
 
     def _newest(self, signal: str, now_s: float) -> Value | None:
         """Of the first device in order that has one that is fresh."""

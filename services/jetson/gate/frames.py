@@ -36,7 +36,7 @@ from services.jetson.gate.pipeline import Decision, Permission
 
 VERSION = 1
 PERMISSION_SYNC, REPORT_SYNC = 0xA5, 0x5A
-PERMISSION_BYTES, REPORT_BYTES = 12, 10
+REPORT_BYTES = 10
 CODES: dict[Permission, int] = {"STOP": 0x00, "SLOW": 0x55, "GO": 0xAA}
 PERMISSIONS: dict[int, Permission] = {code: name for name, code in CODES.items()}
 WHY = ("as told", "no frame yet", "frames stopped coming", "waiting for a second of steady frames")

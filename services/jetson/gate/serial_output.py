@@ -26,11 +26,16 @@ RANK = {"STOP": 0, "SLOW": 1, "GO": 2}
 
 
 class Port(Protocol):
-    """Bytes to and from an actuator. Both methods return at once and raise ``OSError`` when it is gone."""
+    """Bytes to and from an actuator. ``write`` and ``read`` return at once and raise ``OSError`` when it is gone."""
 
-    def write(self, data: bytes) -> None: ...
-    def read(self) -> bytes: ...
-    def close(self) -> None: ...
+    def write(self, data: bytes) -> None:
+        """Send all of it."""
+
+    def read(self) -> bytes:
+        """What has come since the last call."""
+
+    def close(self) -> None:
+        """Let go of the device."""
 
 
 class SerialPort:
@@ -82,10 +87,6 @@ class FramedOutput:
         self._presses: int | None = None
         self._new_presses = 0
         self._told: list[tuple[float, int]] = []  # what it was told lately: (time, rank)
-
-    @property
-    def is_open(self) -> bool:
-        return self._port is not None
 
     def send(self, now_s: float, decision: Decision, verdict_seq: int) -> None:
         if self._port is None and not self._reopen(now_s):

@@ -11,9 +11,14 @@ from common import clock
 class Clock(Protocol):
     """Time as the driver sees it; tests run it by hand."""
 
-    def monotonic_s(self) -> float: ...
-    def utc_ns(self) -> int: ...
-    def sleep(self, seconds: float) -> None: ...
+    def monotonic_s(self) -> float:
+        """Seconds that never go back."""
+
+    def utc_ns(self) -> int:
+        """UTC nanoseconds."""
+
+    def sleep(self, seconds: float) -> None:
+        """Wait; not at all for less than 0."""
 
 
 class SystemClock:
