@@ -5,32 +5,28 @@ A wrong key then ends the command with one line, instead of half a system that s
 
 from __future__ import annotations
 
+import importlib.metadata
 from collections.abc import Iterable
 from importlib import import_module
 
 from common.config import ConfigError, ServiceConfig, load
 from common.host.process_plan import Plan, configuration_of
 from common.source_url import source_kind
-from common.topics import ServiceRow
-
-CONFIG_TYPES = {
-    "radar": "services.radar_pi.config:RadarConfig",
-    "lidar": "services.jetson.lidar.config:LidarConfig",
-    "camera": "services.jetson.camera.config:CameraConfig",
-    "fusion": "services.jetson.fusion.config:FusionConfig",
-    "dashboard": "services.jetson.dashboard.config:DashboardConfig",
-    "gate": "services.jetson.gate.config:GateConfig",
-    "ego": "services.jetson.ego.config:EgoConfig",
-    "infra_lidar": "services.infra_lidar.config:InfraLidarConfig",
-    "blackbox": "services.blackbox.config:BlackboxConfig",
-}
+from common.topics import ServiceRow, service_row
 
 
 def config_type(service: str) -> type[ServiceConfig]:
-    """The configuration class of a service of the topics table."""
-    module, _, name = CONFIG_TYPES[service].partition(":")
-    found: type[ServiceConfig] = getattr(import_module(module), name)
+    """The configuration class of a service: the one that ``config.py`` beside its console command defines."""
+    scripts = importlib.metadata.distribution("spotter").entry_points.select(group="console_scripts")
+    (script,) = (one for one in scripts if one.name == service_row(service).script)
+    module = import_module(script.module.replace("__main__", "config"))
+    found: type[ServiceConfig]
+    (found,) = (one for one in vars(module).values() if _is_config(one) and one.__module__ == module.__name__)
     return found
+
+
+def _is_config(value: object) -> bool:
+    return isinstance(value, type) and issubclass(value, ServiceConfig)
 
 
 def check_configurations(rows: Iterable[ServiceRow], plan: Plan) -> dict[str, ServiceConfig]:

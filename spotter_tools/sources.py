@@ -17,6 +17,7 @@ EXAMPLES = {
     "infra_lidar": "velodyne://:2368",
     "ego": "vesc:/dev/ttyACM0",
 }
+UNKNOWN = "SCHEME:DEVICE"  # a service without an example
 ALSO = {"camera": ('set = ["detector.model=/opt/spotter/yolo11n.onnx"]',)}  # the shipped network knows `sim:` alone
 
 
@@ -31,7 +32,7 @@ def refuse_without_source(host: str, configurations: Mapping[str, ServiceConfig]
         return
     lines = [f"[hosts.{host}]"]
     for name in without:
-        lines += [f"[hosts.{host}.services.{name}]", f'source = "{EXAMPLES[name]}"', *ALSO.get(name, ())]
+        lines += [f"[hosts.{host}.services.{name}]", f'source = "{EXAMPLES.get(name, UNKNOWN)}"', *ALSO.get(name, ())]
     raise ConfigError(
         f"{host}: no source for {', '.join(without)}: nothing would be measured. Write into site.toml, "
         f"with your devices,\n  " + "\n  ".join(lines) + "\n"

@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
-ONE_PER_VEHICLE = ("lidar", "radar", "camera", "ego", "fusion")
+from common.topics import ONBOARD_SENSORS
+
+ONE_PER_VEHICLE = (*ONBOARD_SENSORS, "ego", "fusion")
 
 
 class _Host(Protocol):

@@ -16,11 +16,8 @@ from msgspec.structs import replace
 
 from common.stopwatch import Stopwatch
 from services.infra_lidar.config import CalibrationConfig, InfraLidarConfig
-from services.infra_lidar.input import robosense, velodyne
-from services.infra_lidar.input.hesai import silent_packet
-from services.infra_lidar.input.models import KINDS, decoder_of
+from services.infra_lidar.input.models import KINDS, compile_decoder
 from services.infra_lidar.input.range_image import RangeImage
-from services.infra_lidar.input.revolution import decode_revolution, stack_packets
 from services.infra_lidar.jit import CACHE, COMPLETE, KEPT
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
@@ -30,11 +27,6 @@ log = logging.getLogger(__name__)
 DONE = CACHE / COMPLETE
 FRAMES = (*range(9), 60)  # at 0.1 s each: learning, its end, beyond, and the next check of the calibration
 PERIOD_NS = 100_000_000
-SILENT_PACKETS = {
-    "velodyne": bytes(velodyne.PACKET_BYTES),
-    "hesai": silent_packet(),
-    "robosense": bytes(robosense.PACKET_BYTES),
-}
 HEIGHT_M = 4.0  # of the made-up sensor above its road
 BOXES = ((8, 3, 4.2, 1.8, 1.5), (-6, 5, 0.5, 0.5, 1.7), (4, -9, 10, 2.5, 3.0))  # x, y, length, width, height (m)
 
@@ -55,8 +47,8 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
         for k in FRAMES:
             pipeline.process((10 + k) * PERIOD_NS, returns)
     track_two_people(MultiObjectTracker(config.tracking))
-    for kind, packet in SILENT_PACKETS.items():
-        decode_revolution(stack_packets([packet]), decoder_of(kind, KINDS[kind].to_count))
+    for kind in KINDS:
+        compile_decoder(kind)
     if KEPT:
         with suppress(OSError):  # the disk has become full: the next start compiles what is missing
             DONE.touch()

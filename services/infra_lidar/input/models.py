@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import NamedTuple, Never
 
 from services.infra_lidar.input import hesai_calibration, ouster, robosense, velodyne
-from services.infra_lidar.input.hesai import hesai_format
+from services.infra_lidar.input.hesai import hesai_format, silent_packet
 from services.infra_lidar.input.hesai_parser import HesaiParser
 from services.infra_lidar.input.ouster import OusterFormat, OusterParser
-from services.infra_lidar.input.revolution import PacketDecoder
+from services.infra_lidar.input.revolution import PacketDecoder, decode_revolution, stack_packets
 from services.infra_lidar.input.robosense import robosense_format
 from services.infra_lidar.input.sensors import OUSTER, PANDAR128, QT128, RUBY, RUBY_PLUS, VLS128
 from services.infra_lidar.input.spinning import PacketParser, SpinningParser
@@ -54,6 +54,19 @@ KINDS = {
         robosense.unknown_angles(),
     ),
 }
+
+
+SILENT_PACKETS = {  # without a return; not of an Ouster, whose packets depend on its metadata
+    "velodyne": bytes(velodyne.PACKET_BYTES),
+    "hesai": silent_packet(),
+    "robosense": bytes(robosense.PACKET_BYTES),
+}
+
+
+def compile_decoder(kind: str) -> None:
+    """Decode a packet without returns, so that live packets need not wait for the compiler."""
+    if kind in SILENT_PACKETS:
+        decode_revolution(stack_packets([SILENT_PACKETS[kind]]), decoder_of(kind, KINDS[kind].to_count))
 
 
 def kind_of(model: str) -> str:

@@ -234,7 +234,7 @@ def test_pcd_with_eight_byte_time_and_a_padding_of_nothing():
     [
         ((b"POINTS 2", b"POINTS 1"), "WIDTH x HEIGHT says 2 points; POINTS says 1 points"),
         ((b"FIELDS x y z intensity ring", b"FIELDS x y height intensity ring"), "no field z among x y height"),
-        ((b"TYPE F F F F U", b"TYPE F F F F Q"), "a field of type Q with 2 bytes"),
+        ((b"TYPE F F F F U", b"TYPE F F F F Q"), "no field of PCD has type Q and 2 bytes"),
     ],
 )
 def test_a_pcd_that_contradicts_itself_is_refused_in_words(change, words):
