@@ -5,21 +5,26 @@ A wrong key then ends the command with one line, instead of half a system that s
 
 from __future__ import annotations
 
-import importlib.metadata
 from collections.abc import Iterable
 from importlib import import_module
 
 from common.config import ConfigError, ServiceConfig, load
 from common.host.process_plan import Plan, configuration_of
 from common.source_url import source_kind
-from common.topics import ServiceRow, service_row
+from common.topics import ServiceRow
+
+
+PACKAGES = {  # of the services that are not the Jetson's
+    "radar": "services.radar_pi",
+    "infra_lidar": "services.infra_lidar",
+    "blackbox": "services.blackbox",
+}
 
 
 def config_type(service: str) -> type[ServiceConfig]:
-    """The configuration class of a service: the one that ``config.py`` beside its console command defines."""
-    scripts = importlib.metadata.distribution("spotter").entry_points.select(group="console_scripts")
-    (script,) = (one for one in scripts if one.name == service_row(service).script)
-    module = import_module(script.module.replace("__main__", "config"))
+    """The configuration class of a service: the one that its ``config.py`` defines."""
+    package = PACKAGES.get(service, f"services.jetson.{service}")
+    module = import_module(f"{package}.config")
     found: type[ServiceConfig]
     (found,) = (one for one in vars(module).values() if _is_config(one) and one.__module__ == module.__name__)
     return found

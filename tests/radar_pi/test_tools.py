@@ -65,17 +65,17 @@ def test_a_wrong_recording_ends_with_code_two_and_the_reason(
 
 
 @pytest.mark.parametrize(
-    ("option", "name", "said"),
+    ("command", "name", "said"),
     [
-        ("--plot", "none/out.png", "no folder"),
-        ("--plot", "out.xyz", "the name has to end in .png or .svg or .pdf"),
-        ("--record", "none/out.radar", "no folder"),
+        ("plot", "none/out.png", "no folder"),
+        ("plot", "out.xyz", "the name has to end in .png or .svg or .pdf"),
+        ("record", "none/out.radar", "no folder"),
     ],
 )
 def test_a_file_that_cannot_be_written_is_said_before_the_work(
-    recording: Path, tmp_path: Path, option: str, name: str, said: str
+    recording: Path, tmp_path: Path, command: str, name: str, said: str
 ) -> None:
-    result = CliRunner().invoke(app, ["--source", f"file:{recording}?rate=0", option, str(tmp_path / name)])
+    result = CliRunner().invoke(app, ["--source", f"file:{recording}?rate=0", command, str(tmp_path / name)])
     assert (result.exit_code, said in result.output, len(result.output.splitlines())) == (2, True, 1), result.output
 
 
