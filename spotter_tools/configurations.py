@@ -13,7 +13,6 @@ from common.host.process_plan import Plan, configuration_of
 from common.source_url import source_kind
 from common.topics import ServiceRow
 
-
 PACKAGES = {  # of the services that are not the Jetson's
     "radar": "services.radar_pi",
     "infra_lidar": "services.infra_lidar",

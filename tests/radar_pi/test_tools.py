@@ -56,7 +56,7 @@ def test_a_wrong_recording_ends_with_code_two_and_the_reason(
     flag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "x.radar").write_bytes(b"not a recording")
-    arguments = ["--source", f"file:{tmp_path / 'x.radar'}", flag, str(tmp_path / "out")]
+    arguments = ["--source", f"file:{tmp_path / 'x.radar'}", flag, str(tmp_path / "out.png")]
     monkeypatch.setattr("sys.argv", ["spotter-radar", *arguments])
     with pytest.raises(SystemExit) as ended:
         main()
