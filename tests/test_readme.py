@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import re
+import textwrap
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -44,6 +46,12 @@ def test_links_lead_somewhere(document: Path) -> None:
     for target in re.findall(r"\]\(([^)#\s]+)", document.read_text()):
         if not target.startswith("http"):
             assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(REPOSITORY)))
+def test_what_is_to_be_copied_into_a_toml_file_is_toml(document: Path) -> None:
+    for block in re.findall(r"```toml\n(.*?)```", document.read_text(), re.DOTALL):
+        tomllib.loads(textwrap.dedent(block))
 
 
 def test_every_command_of_the_pages_is_known_to_docs_check(monkeypatch: pytest.MonkeyPatch) -> None:
