@@ -86,9 +86,12 @@ def collect(
     while True:
         items: list[T] = []
         times_s, until_s, ended = times_s[-1:], monotonic_s() + seconds, False
-        while not ended and (left_s := until_s - monotonic_s()) > 0:
+        while not ended:
+            left_s = max(until_s - monotonic_s(), 0.0)
+            if items and left_s == 0.0:
+                break
             try:
-                at_s, item = arrived.get(timeout=left_s)
+                at_s, item = arrived.get(timeout=left_s)  # 0 when this thread itself is late: what is there counts
             except queue.Empty:
                 break
             if isinstance(item, _End):
