@@ -17,9 +17,6 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 demo: setup
 	@$(BIN)/spotter demo $(ARGS)
 
-# The tests start hundreds of processes and are imported six times: what is compiled is kept, whatever the environment says.
-unexport PYTHONDONTWRITEBYTECODE
-
 # Everything: what computes on all cores at once (three workers for two: one waits for a minute), then what runs a few
 # real processes, two tests at a time, then what runs whole systems. ARGS="-k word" or a path runs those tests by themselves.
 # $(call pytest,MARKS,OPTIONS): up to three tests that failed beside others that want the same two cores run once more,
@@ -34,7 +31,7 @@ test: setup
 ifeq ($(strip $(ARGS)),)
 	$(call pytest,not system and not netns,-q --numprocesses 3 --dist loadfile --no-loadscope-reorder)
 	$(call pytest,system and not netns and not alone,-q --numprocesses 2 --dist loadfile)
-	$(call pytest,netns or alone,$$(grep -rlE 'mark\.(netns|alone)' tests --include='test_*.py'))
+	$(call pytest,netns or alone,)
 else
 	@$(BIN)/pytest $(ARGS)
 endif

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import threading
 import time
@@ -42,19 +41,13 @@ LIVE_FIXTURES = frozenset({
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark them, before ``-m`` selects.
-
-    Files with slow tests come first, so that workers end together. Before them comes one that compiles the kernels; of
-    the slow ones those that need them come last.
-    """
+    """Mark them, before ``-m`` selects; files with slow tests come first, so that workers end together."""
     for item in items:
         live = isinstance(item, pytest.Function) and not LIVE_FIXTURES.isdisjoint(item.fixturenames)
         if live and item.get_closest_marker("patient") is None:
             item.add_marker("system")
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    compiled = dict.fromkeys(item.path for item in items if "kernels" in getattr(item, "fixturenames", ()))
-    first = next(iter(compiled), None)
-    items.sort(key=lambda item: (item.path != first, item.path not in slow, item.path in compiled))
+    items.sort(key=lambda item: item.path not in slow)
 
 
 @pytest.fixture(scope="session")
@@ -69,21 +62,6 @@ def recordings() -> Callable[[str], Path]:
         return path
 
     return folder
-
-
-@pytest.fixture(scope="session")
-def kernels() -> None:
-    """The roadside lidar's compiled kernels. Of several workers one compiles them, the others wait for it."""
-    from services.infra_lidar.config import InfraLidarConfig
-    from services.infra_lidar.jit import CACHE
-    from services.infra_lidar.warm_up import DONE, warm_up
-
-    if "PYTEST_XDIST_WORKER" not in os.environ:
-        return  # alone, a test compiles what it needs
-    with (CACHE / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not DONE.exists():
-            warm_up(InfraLidarConfig(), lambda _: None)
 
 
 @pytest.fixture

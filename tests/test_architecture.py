@@ -45,6 +45,7 @@ EXTRAS_OF = {
     "services/infra_lidar/input/las.py": {"infra-lidar", "las"},
     "services/infra_lidar/training/train.py": {"infra-lidar", "train"},
     "services/infra_lidar/training/evaluate.py": {"infra-lidar", "train"},
+    "services/infra_lidar/adaptation/site_forest.py": {"infra-lidar", "train"},
     "services/infra_lidar/plot.py": {"infra-lidar", "plot", "jetson"},  # an MP4 where OpenCV happens to be
     "services/infra_lidar/training/evaluate_plots.py": {"infra-lidar", "train"},
     "services/infra_lidar": {"infra-lidar"},

@@ -14,11 +14,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from benchmarks.datasets.labelled_boxes import LabelledFrame, labelled_frames
 from benchmarks.infra_lidar.accuracy import DATA, MIN_POINTS, ON_A_VEHICLE
 from benchmarks.infra_lidar.foreign import distance_fields, meshes, superquadrics
+from benchmarks.infra_lidar.motorway import ROADSIDE_MAST, VEHICLES, EmptyRoad, pictures
 from services.infra_lidar.calibration.plane_fit import Calibrator
 from services.infra_lidar.classification.classes import CLASSES, UNKNOWN
 from services.infra_lidar.classification.classifier import Classification, Classifier
@@ -30,10 +30,7 @@ from services.infra_lidar.training.clusters import LabelledClusters, collect
 from services.infra_lidar.training.evaluate import Evaluation, judge
 
 SEED = 77_000
-ROADSIDE_MAST = CalibrationConfig(height_min_m=2.0, max_tilt_deg=10.0)
-ROAD_Y_M, SCENE_M = 17.0, 0.6  # half the width of the motorway; reach of the authors' model of the empty road
 _HDL32 = {"car": "car", "pedestrian": "pedestrian", "bush": "background", "trunk": "background"}
-VEHICLES = [CLASSES.index(name) for name in ("car", "large_vehicle")]
 
 
 class Found(NamedTuple):
@@ -139,30 +136,20 @@ def _boxes_of(frame: LabelledFrame, classifier: Classifier) -> Iterator[tuple[in
 
 
 def motorway(classifier: Classifier) -> None:
-    """False vehicles of each picture: off the carriageways, or standing where the authors' empty road has points."""
-    folder = DATA / "roadside-lidar80"
-    paths = sorted(folder.glob("frame_*.npz"))
-    if not paths:
+    """False vehicles of each picture, as ``motorway.py`` counts them."""
+    frames = pictures()
+    if not frames:
         print("  no roadside recording here (SPOTTER_DATA)")
         return
-    with np.load(folder / "background.npz") as stored:
-        empty_road = cKDTree(stored["xyz"].astype(np.float32))
+    empty = EmptyRoad(Calibrator(ROADSIDE_MAST).add(frames[0]).T_level_sensor)
     false, true = [], []
-    for path in paths:
-        with np.load(path) as stored:
-            points = stored["xyz"].astype(np.float32)
+    for points in frames:
         found = find(points, ROADSIDE_MAST, classifier)
         vehicles = np.flatnonzero(np.isin(found.called.labels, VEHICLES))
         rows = np.split(found.clusters.members, found.clusters.offsets[1:-1])
-        wrong = sum(_is_scene(points[rows[k]], empty_road) for k in vehicles)
-        false.append(wrong)
-        true.append(len(vehicles) - wrong)
+        false.append(sum(empty.explains(points[rows[k]]) for k in vehicles))
+        true.append(len(vehicles) - false[-1])
     print(f"  false vehicles a picture {np.mean(false):.1f} (most {max(false)}), others {np.mean(true):.1f}")
-
-
-def _is_scene(points: np.ndarray, empty_road: cKDTree) -> bool:
-    off_the_road = abs(float(np.median(points[:, 1]))) > ROAD_Y_M
-    return off_the_road or bool(np.mean(empty_road.query(points)[0] < SCENE_M) > 0.5)
 
 
 def main(model: str = "") -> None:

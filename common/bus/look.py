@@ -82,34 +82,25 @@ def collect(
 
     threading.Thread(target=read, name="look", daemon=True).start()
     _await_first(arrived, report, patience_s)
-    last_s: list[float] = []
-    ended = False
-    while not ended:
-        came, ended = _period(arrived, seconds)
-        times_s = [*last_s, *(at_s for at_s, _ in came)]
-        last_s = times_s[-1:]
-        yield Seen([item for _, item in came], _rate_hz(times_s), report.snapshot())
-
-
-def _period(arrived: queue.Queue[tuple[float, T | _End]], seconds: float) -> tuple[list[tuple[float, T]], bool]:
-    """What came from now on, each with its moment, and whether it was the last.
-
-    What is there already counts, also when this thread is so late that the period is over.
-    """
-    until_s, came = monotonic_s() + seconds, list[tuple[float, T]]()
+    times_s: list[float] = []
     while True:
-        left_s = max(until_s - monotonic_s(), 0.0)
-        if came and left_s == 0.0:
-            return came, False
-        try:
-            at_s, item = arrived.get(timeout=left_s)
-        except queue.Empty:
-            return came, False
-        if isinstance(item, _End):
-            if item.error is not None:
-                raise item.error
-            return came, True
-        came.append((at_s, item))
+        items: list[T] = []
+        times_s, until_s, ended = times_s[-1:], monotonic_s() + seconds, False
+        while not ended and (left_s := until_s - monotonic_s()) > 0:
+            try:
+                at_s, item = arrived.get(timeout=left_s)
+            except queue.Empty:
+                break
+            if isinstance(item, _End):
+                if item.error is not None:
+                    raise item.error
+                ended = True
+            else:
+                items.append(item)
+                times_s.append(at_s)
+        yield Seen(items, _rate_hz(times_s), report.snapshot())
+        if ended:
+            return
 
 
 def _await_first(arrived: queue.Queue[tuple[float, T | _End]], report: Report, patience_s: float) -> None:

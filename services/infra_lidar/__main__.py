@@ -12,6 +12,7 @@ from common.bus.runtime import Service
 from common.bus.service_app import run_app, service_app
 from common.bus.status import Report
 from common.topics import INFRA_CLUSTERS, INFRA_POINTS, INFRA_RAW, INFRA_TRACKS
+from services.infra_lidar.adaptation.command import adapt
 from services.infra_lidar.calibration.command import RecalibrationRequest, recalibrate
 from services.infra_lidar.calibration.store import Store
 from services.infra_lidar.config import InfraLidarConfig
@@ -58,6 +59,7 @@ def run(config: InfraLidarConfig) -> bool:
 
 app = service_app("infra_lidar", InfraLidarConfig, run, __doc__)
 app.command()(recalibrate)
+app.command()(adapt)
 add_look(app)
 add_commands(app)
 

@@ -113,6 +113,7 @@ class ClassifierConfig(Section, frozen=True, kw_only=True):
     """The forest."""
 
     model: str = ""  # an .npz made by `spotter-infra-lidar train`; empty = the one that is shipped
+    site_model: str = ""  # what `spotter-infra-lidar adapt` writes; used instead of `model` as long as it is there
     min_confidence: Share = 0.45  # below this an object is "unknown": an obstacle of no known class
 
 

@@ -17,11 +17,6 @@ from spotter_sim import lidar128, roadside, world
 RECORDINGS = Path(os.environ.get("SPOTTER_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _compiled(kernels: None) -> None:
-    """Most of these tests run kernels."""
-
-
 @dataclass(frozen=True)
 class SceneFrame:
     """One generated turn: points (N, 5), actor of each point (-1 scene, -2 ground), its kind, and the true level."""

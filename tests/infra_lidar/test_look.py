@@ -4,21 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import pytest
-
-from common.bus import look
 from common.bus.look import Look
 from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.input.velodyne import Vls128Parser
 from services.infra_lidar.look import looks
-from tests.infra_lidar.made_packets import revolutions_of, sending, vls_packet
+from tests.infra_lidar.made_packets import sending, vls_packet
 
 
-def test_a_sensor_that_sends_is_told_with_its_packets(
-    free_ports: Callable[[], int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(look, "LOST_S", 20.0)  # on a busy machine a turn is long on its way
-    revolutions_of(Vls128Parser())  # compiles what would hold up the sender below
+def test_a_sensor_that_sends_is_told_with_its_packets(free_ports: Callable[[], int]) -> None:
     port = free_ports()
     packets = [vls_packet(0.6 * k % 360.0, time_us=166 * k) for k in range(600)]
     with sending(packets, port):

@@ -223,18 +223,20 @@ def test_partial_revolutions_are_not_taken_for_a_moved_sensor(recording):
 
 @pytest.mark.slow
 def test_nothing_moves_in_the_standing_recording(recording):
-    """Three turns at a T-junction with hedges and fences, again and again: clusters change in every one."""
     folder = recording("lidar128-velodyne-vls128")
     frames = []
     for k in range(3):
         with np.load(folder / f"scan_{k}.npz") as file:
             frames.append(np.column_stack([file["xyz"], file["intensity"], file["ring"]]).astype(np.float32))
-    pipeline, seen = InfraLidarPipeline(InfraLidarConfig()), 0
+    pipeline = InfraLidarPipeline(InfraLidarConfig())
+    fast = set()
     for k in range(90):
-        tracks = [t for t in pipeline.process(_stamp(k), frames[k % 3]).tracks.tracks if t.state != "tentative"]
-        assert not [t for t in tracks if np.hypot(*t.velocity_mps[:2]) > 1.0], k
-        seen += len(tracks)
-    assert seen > 250
+        result = pipeline.process(_stamp(k), frames[k % 3])
+        fast |= {
+            t.track_id for t in result.tracks.tracks if t.state == "confirmed" and np.hypot(*t.velocity_mps[:2]) > 1.0
+        }
+    assert len(result.tracks.tracks) > 10
+    assert not fast
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,6 @@ from common.bus.session import open_session
 from common.codec import DecodeError, decode
 from common.config import ZenohConfig
 from common.messages import Message, ServiceInfo, SystemHealth, Verdict
-from tests.jetson.dashboard.conftest import browser, module_router, start_dashboard_at  # noqa: F401 (fixtures)
 
 SPOTTER = str(Path(sys.executable).with_name("spotter"))
 

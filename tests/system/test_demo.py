@@ -20,7 +20,6 @@ from common.bus.session import open_session
 from common.config import ZenohConfig
 from common.messages import Message, SystemHealth, Verdict
 from common.topics import SERVICES
-from tests.system.conftest import stop_demo
 
 pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.slow, pytest.mark.timeout(240)]
 SENSOR_SERVICES = ("radar", "lidar", "camera", "infra_lidar")
@@ -157,12 +156,22 @@ session.close()
     assert told.stdout.split()[0] in {"SAFE", "CAUTION", "IMMINENT"}
 
 
-def test_ctrl_c_leaves_no_process_behind(running_demo: Any) -> None:
-    """The last test of the file: it ends the file's demo."""
-    family = psutil.Process(running_demo.process.pid).children(recursive=True)
+def test_ctrl_c_leaves_no_process_behind(tmp_path: Path, module_ports: Callable[[], int]) -> None:
+    port, endpoint = module_ports(), f"tcp/127.0.0.1:{module_ports()}"
+    spotter = str(Path(sys.executable).with_name("spotter"))
+    log = tmp_path / "log"
+    command = [spotter, "demo", "--listen", endpoint, "--port", str(port)]
+    with log.open("wb") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
+    root = psutil.Process(process.pid)
+    deadline_s = time.monotonic() + 100
+    while "Spotter is up" not in log.read_text():
+        assert process.poll() is None, log.read_text()
+        assert time.monotonic() < deadline_s, log.read_text()
+    family = root.children(recursive=True)
     assert len(family) >= len(SERVICES) + 1
-    assert stop_demo(running_demo) == 0
+    process.send_signal(signal.SIGINT)
+    assert process.wait(15) == 0
     _, left = psutil.wait_procs(family, timeout=2)
     assert not left
-    listening = {c.laddr.port for c in psutil.net_connections("tcp") if c.laddr and c.status == "LISTEN"}
-    assert running_demo.port not in listening
+    assert not [c for c in psutil.net_connections("tcp") if c.laddr and c.laddr.port == port and c.status == "LISTEN"]

@@ -7,10 +7,11 @@ Superquadrics: Barr, IEEE CG&A 1981. Heights of people: NCD-RisC, eLife 2016 (no
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.infra_lidar.foreign.draw import draw_clusters
+from benchmarks.infra_lidar.foreign.draw import MIN_POINTS, draw_clusters
 from services.infra_lidar.classification.classes import CLASSES
 from services.infra_lidar.training.clusters import LabelledClusters
 
@@ -53,18 +54,56 @@ def _surface(rng: np.random.Generator, part: Part, n: int) -> np.ndarray:
     return np.asarray(p + part.centre)
 
 
+class View(NamedTuple):
+    """Where a body is, as seen from above the sensor's foot (m, rad), the sensor's height (m) and its grid."""
+
+    distance: float
+    bearing: float
+    yaw: float
+    height: float
+    grid: tuple[int, float, int]
+
+
+def passing(seed: int, label: int, bodies: int, frames: int) -> list[list[np.ndarray]]:
+    """For each of the bodies of a class its clusters in ``frames`` revolutions, 0.1 s apart, as it goes straight past.
+
+    A revolution with too few returns is left out.
+    """
+    rng = np.random.default_rng([seed, 2, label])
+    found = []
+    for _ in range(bodies):
+        parts, step_m = BODIES[CLASSES[label]](rng), 0.1 * rng.uniform(*SPEEDS_MPS[CLASSES[label]])
+        grid, height = _GRIDS[rng.integers(len(_GRIDS))], rng.uniform(4.0, 8.0)
+        start, yaw = rng.uniform(-20.0, 20.0, 2), rng.uniform(-np.pi, np.pi)
+        way = [start + i * step_m * np.array([np.cos(yaw), np.sin(yaw)]) for i in range(frames)]
+        views = [View(float(np.hypot(*at)), float(np.arctan2(at[1], at[0])), yaw, height, grid) for at in way]
+        seen = [_returns(rng, _samples(rng, parts), view) for view in views]
+        found.append([points for points in seen if len(points) >= MIN_POINTS])
+    return found
+
+
 def _seen(rng: np.random.Generator, parts: list[Part]) -> np.ndarray:
     """(n, 3) float32 returns of a body somewhere around the pole, after hiding, losses and noise."""
+    p = _samples(rng, parts)
+    distance, bearing, yaw = 6.0 * np.exp(rng.uniform(0.0, 2.3)), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)
+    height = rng.uniform(4.0, 8.0)
+    return _returns(rng, p, View(distance, bearing, yaw, height, _GRIDS[rng.integers(len(_GRIDS))]))
+
+
+def _samples(rng: np.random.Generator, parts: list[Part]) -> np.ndarray:
+    """(n, 3) points on all parts of a body."""
     area = np.array([np.prod(np.sort(part.half)[1:]) for part in parts])
     counts = np.maximum((_SAMPLES * area / area.sum()).astype(int), 500)
-    p = np.concatenate([_surface(rng, part, int(n)) for part, n in zip(parts, counts, strict=True)])
-    distance, bearing, yaw = 6.0 * np.exp(rng.uniform(0.0, 2.3)), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)
+    return np.concatenate([_surface(rng, part, int(n)) for part, n in zip(parts, counts, strict=True)])
+
+
+def _returns(rng: np.random.Generator, p: np.ndarray, view: View) -> np.ndarray:
+    """(n, 3) float32 returns of a body sampled at ``p`` (N, 3), after hiding, losses and noise."""
+    distance, bearing, yaw, height, (beams, fov, columns) = view
     c, s = np.cos(yaw), np.sin(yaw)
     p = p @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     p[:, :2] += distance * np.array([np.cos(bearing), np.sin(bearing)])
-    height = rng.uniform(4.0, 8.0)
     p[:, 2] -= height
-    beams, fov, columns = _GRIDS[rng.integers(len(_GRIDS))]
     r = np.linalg.norm(p, axis=1)
     azimuth = (np.arctan2(p[:, 1], p[:, 0]) - bearing + np.pi) % (2 * np.pi)
     a = (azimuth * columns / (2 * np.pi)).astype(np.int64)
@@ -247,3 +286,4 @@ def _built(rng: np.random.Generator, kind: int, z: float) -> list[Part]:
 
 
 BODIES = {"background": _thing, "car": _car, "large_vehicle": _lorry, "cyclist": _rider, "pedestrian": _person}
+SPEEDS_MPS = {"car": (5.0, 14.0), "large_vehicle": (4.0, 12.0), "cyclist": (3.0, 7.0), "pedestrian": (0.8, 1.8)}

@@ -34,6 +34,13 @@ class Classification(NamedTuple):
     probabilities: np.ndarray  # (K, C) float32 over `CLASSES`
 
 
+def model_path(config: ClassifierConfig) -> Path:
+    """The file that is used: the site's, as long as there is one."""
+    if config.site_model and Path(config.site_model).exists():
+        return Path(config.site_model)
+    return Path(config.model) if config.model else SHIPPED_MODEL
+
+
 class Classifier:
     """``feature_names`` says which features, in which order, ``classify`` expects. ``forest``: instead of the file.
 
@@ -42,7 +49,7 @@ class Classifier:
     """
 
     def __init__(self, config: ClassifierConfig, forest: Forest | None = None) -> None:
-        path = Path(config.model) if config.model else SHIPPED_MODEL
+        path = model_path(config)
         try:
             self.forest = forest or load_forest(path)
         except ModelError as error:

@@ -117,7 +117,6 @@ def record(path: Path, service: str, spoil: Callable[[RawBytes], RawBytes | None
     return path
 
 
-@pytest.mark.usefixtures("kernels")
 @pytest.mark.parametrize("service", SERVICES)
 def test_results_from_raw_bytes_are_those_that_were_published(tmp_path: Path, service: str) -> None:
     outcome = verify_service(service, record(tmp_path / "a.mcap", service))
@@ -255,19 +254,12 @@ def test_a_live_lidar_is_recorded_with_its_bytes_and_comes_out_the_same(
         "spotter", "record", tmp_path, "--raw", "lidar", "--connect", router_endpoint, "--keep-free", "0", "--json"
     )
     until(lambda: list(tmp_path.glob("*.mcap")))
-    scans = threading.Semaphore(0)
-    with open_session(ZenohConfig(connect=(router_endpoint,))) as listener:
-        subscriber = listener.declare_subscriber("jetson0/lidar/zones", lambda _: scans.release())
-        service = spawn(
-            "spotter-lidar", "--source", "sim:crossing?t0=3", "--set", f'zenoh.connect=["{router_endpoint}"]'
-        )
-        for _ in range(30):
-            assert scans.acquire(timeout=40.0)
-        del subscriber
+    service = spawn("spotter-lidar", "--source", "sim:crossing?t0=3", "--set", f'zenoh.connect=["{router_endpoint}"]')
+    threading.Event().wait(4.0)  # what is recorded, not what is waited for
     service.terminate()
-    service.wait(20)
+    service.wait(10)
     recorder.terminate()
-    told = json.loads(recorder.communicate(timeout=60)[0])
+    told = json.loads(recorder.communicate(timeout=20)[0])
     verified = spawn("spotter", "replay", "--verify", "--service", "lidar", told["file"], "--json")
     outcome = json.loads(verified.communicate(timeout=60)[0])
     assert outcome["difference"] == ""
@@ -280,5 +272,5 @@ def test_a_live_lidar_is_recorded_with_its_bytes_and_comes_out_the_same(
             "spotter-lidar", "--source", f"mcap:{told['file']}", "--set", "zenoh.namespace=replay",
             "--set", f'zenoh.connect=["{router_endpoint}"]',
         )  # fmt: skip
-        assert heard.wait(60)
+        assert heard.wait(20)
         del subscriber

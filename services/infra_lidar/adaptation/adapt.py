@@ -1,0 +1,95 @@
+"""From a recording to the forest of its site: record, label, grow, and judge on the last part of the recording."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from common.bus.status import Report
+from services.infra_lidar.adaptation.labels import SiteLabels, label_site
+from services.infra_lidar.adaptation.recorder import SiteRecord, SiteRecorder
+from services.infra_lidar.adaptation.site_forest import (
+    FEATURES,
+    Examples,
+    grow,
+    join,
+    site_examples,
+)
+from services.infra_lidar.adaptation.verdict import Figures, HeldOut, called, judge, objections
+from services.infra_lidar.classification.classes import BACKGROUND
+from services.infra_lidar.classification.forest import Forest
+from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.input.source import open_source, surveyed_pose
+from services.infra_lidar.pipeline import InfraLidarPipeline
+
+LEARN_SHARE = 0.75  # of the recording; what comes later is held out
+
+
+class Outcome(NamedTuple):
+    """The site's forest, how the one in use and the new one do on what was held out, and why it is not accepted."""
+
+    forest: Forest
+    learned: SiteLabels
+    held_out: HeldOut
+    before: Figures
+    after: Figures
+    objections: list[str]
+
+
+def record_site(config: InfraLidarConfig, seconds: float) -> SiteRecord:
+    """Run the pipeline over the source for so long, or until it ends.
+
+    Nothing is learned as background meanwhile: clutter has to be seen to be learned.
+
+    Raises:
+        ValueError: no cluster was seen.
+    """
+    whole = msgspec.structs.replace(config.background, enabled=False)
+    config = msgspec.structs.replace(config, T_map_sensor=surveyed_pose(config), background=whole)
+    pipeline = InfraLidarPipeline(config)
+    recorder = SiteRecorder(FEATURES, config.ground.range_max_m)
+    first_ns: int | None = None
+    for stamp_ns, frame in open_source(config, Report("adapt")):
+        first_ns = stamp_ns if first_ns is None else first_ns
+        if (stamp_ns - first_ns) * 1e-9 > seconds:
+            break
+        recorder.add(pipeline.process(stamp_ns, frame.returns, frame.quality), pipeline.tracker.matches)
+    return recorder.record()
+
+
+def split(record: SiteRecord, labels: SiteLabels) -> tuple[SiteLabels, SiteLabels, int]:
+    """What is learned from, what is held out, and the number of pictures of the latter.
+
+    Held out is the last part of the recording; a road user that was there before its begin teaches only.
+    """
+    first, last = int(record.pictures[0]), int(record.pictures[-1])
+    begin_ns = first + LEARN_SHARE * (last - first)
+    late = record.stamp_ns[labels.rows] >= begin_ns
+    is_user = labels.labels != BACKGROUND
+    known = np.isin(labels.groups, labels.groups[~late & is_user])
+    parts = (SiteLabels(*(column[rows] for column in labels)) for rows in (~late, late & ~known))
+    return *parts, int(np.sum(record.pictures >= begin_ns))  # type: ignore[return-value]
+
+
+def learn_site(
+    config: InfraLidarConfig, record: SiteRecord, in_use: Forest, generated: tuple[Examples, Examples]
+) -> Outcome:
+    """Grow the site's forest from the first part of a recording and judge it on the last.
+
+    generated: to grow with, and to see what is forgotten.
+    """
+    labels = label_site(record)
+    learned, late, pictures = split(record, labels)
+    held_out = HeldOut(record.x[late.rows], late.labels, late.groups, pictures)
+    to_grow, unseen = generated
+    story = {"source": "generated clusters and those of a site", "site_clusters": np.bincount(learned.labels).tolist()}
+    forest = grow(join(to_grow, site_examples(record, learned)), {**story, "instead_of": in_use.digest})
+    sure = config.classifier.min_confidence
+    figures = [
+        judge(called(one, held_out.x, FEATURES, sure), held_out, called(one, unseen.x, FEATURES, sure), unseen.labels)
+        for one in (in_use, forest)
+    ]
+    before, after = figures
+    return Outcome(forest, learned, held_out, before, after, list(objections(before, after, held_out)))

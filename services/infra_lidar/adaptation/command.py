@@ -1,0 +1,119 @@
+"""``spotter-infra-lidar adapt``: learn the site, check what was learned, keep it or refuse it, undo it."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from common.bus.service_app import load_config, setup_logging
+from common.config import ConfigError
+from services.infra_lidar.classification.classes import BACKGROUND, CLASSES
+from services.infra_lidar.classification.classifier import Classifier
+from services.infra_lidar.config import InfraLidarConfig
+
+if TYPE_CHECKING:
+    from services.infra_lidar.adaptation.adapt import Outcome
+    from services.infra_lidar.adaptation.recorder import SiteRecord
+
+DEFAULT_FILE = "site_forest.npz"
+
+
+def adapt(
+    context: typer.Context,
+    seconds: Annotated[float, typer.Option("--seconds", min=1.0, help="Of the source; a recording may end before.")] = (
+        900.0
+    ),
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="The site's forest; default: [classifier] site_model.")
+    ] = None,
+    undo: Annotated[bool, typer.Option("--undo", help="Remove the site's forest; the one before is used again.")] = (
+        False
+    ),
+) -> None:
+    """Learn this site from its own tracks, without labels; what is not better on held-out moments is refused."""
+    setup_logging("infra_lidar")
+    config = load_config(InfraLidarConfig, *context.obj)
+    path = output or Path(config.classifier.site_model or DEFAULT_FILE)
+    if undo:
+        _remove(path)
+        return
+    if importlib.util.find_spec("sklearn") is None:
+        raise ConfigError('adapt needs the extra `train`: uv pip install -c constraints.txt ".[train]"')
+    if not path.parent.is_dir():
+        raise ConfigError(f"{path}: no folder {path.parent}")
+    outcome = _learn(config, seconds)
+    if outcome.objections:
+        _say("refused, nothing is changed:", *(f"  {reason}" for reason in outcome.objections))
+        raise typer.Exit(1)
+    try:
+        outcome.forest.save(path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror or error}") from None
+    _say(f"accepted: {path}, {path.stat().st_size / 1e3:.0f} kB; undo it with `spotter-infra-lidar adapt --undo`")
+    if config.classifier.site_model != str(path):
+        _say(f'to use it from the next start on: [classifier] site_model = "{path.resolve()}"')
+
+
+def _learn(config: InfraLidarConfig, seconds: float) -> Outcome:
+    from services.infra_lidar.adaptation.adapt import learn_site, record_site
+    from services.infra_lidar.adaptation.site_forest import generated_examples, unseen_examples
+
+    try:
+        record = record_site(config, seconds)
+    except ValueError as error:
+        raise ConfigError(f"{config.source}: {error}") from None
+    _say(_seen(record))
+    generated = generated_examples(config), unseen_examples(config)
+    outcome = learn_site(config, record, Classifier(config.classifier).forest, generated)
+    _say(*_table(outcome))
+    return outcome
+
+
+def _seen(record: SiteRecord) -> str:
+    length_s = (record.pictures[-1] - record.pictures[0]) * 1e-9
+    return f"{length_s:.0f} s: {len(record.pictures)} pictures, {len(record.x)} clusters, {len(record.tracks)} tracks"
+
+
+def _table(outcome: Outcome) -> list[str]:
+    """What was learned from, and both forests on what was held out."""
+    learned, held_out = outcome.learned, outcome.held_out
+    lines = [f"{'labelled themselves':<22}{'clusters':>10}{'road users':>12}{'held out':>10}"]
+    for c, name in enumerate(CLASSES):
+        mine = learned.labels == c
+        groups = "" if c == BACKGROUND else str(len(np.unique(learned.groups[mine])))
+        lines.append(f"{name:<22}{np.sum(mine):10d}{groups:>12}{np.sum(held_out.labels == c):10d}")
+    lines.append(f"{'held out':<34}{'in use':>10}{'of the site':>12}")
+    before, after = outcome.before, outcome.after
+    lines.append(f"{'clusters of road users called right':<34}{before.right:9.1%}{after.right:11.1%}")
+    lines.append(f"{'clutter called a road user, a picture':<34}{before.false:7.2f}{after.false:11.2f}")
+    for c, name in enumerate(CLASSES):
+        if c != BACKGROUND:
+            shown = f"generated streets, {name} called right"
+            lines.append(f"{shown:<34}{before.recall[c]:8.1%}{after.recall[c]:11.1%}")
+    return lines
+
+
+def _remove(path: Path) -> None:
+    """Undo.
+
+    Raises:
+        ConfigError: there is no such file, or it is no forest of a site.
+    """
+    if not path.exists():
+        raise ConfigError(f"{path}: no forest of a site here: nothing to undo")
+    from services.infra_lidar.classification.forest import load_forest
+
+    if "instead_of" not in load_forest(path).provenance:
+        raise ConfigError(f"{path}: was not made by `spotter-infra-lidar adapt`: not removed")
+    path.unlink()
+    _say(f"{path} removed: from the next start on the forest before it is used")
+
+
+def _say(*lines: str) -> None:
+    sys.stdout.write("\n".join(lines) + "\n")
+    sys.stdout.flush()

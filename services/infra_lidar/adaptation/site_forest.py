@@ -1,0 +1,93 @@
+"""Grows the forest of a site from its own clusters and, so that nothing is forgotten, generated ones."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from sklearn.ensemble import RandomForestClassifier
+from sklearn.model_selection import GroupKFold
+
+from services.infra_lidar.adaptation.labels import SiteLabels
+from services.infra_lidar.adaptation.recorder import SiteRecord
+from services.infra_lidar.classification.classes import CLASSES
+from services.infra_lidar.classification.feature_kernels import FEATURE_NAMES
+from services.infra_lidar.classification.features import FEATURE_SETS, compute_features
+from services.infra_lidar.classification.forest import Forest
+from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.training.clusters import LabelledClusters
+from services.infra_lidar.training.scenes import Steps, scene_clusters
+from services.infra_lidar.training.train import BODY_WEIGHT, calibrate, flatten
+from services.infra_lidar.training.varied import generated_clusters
+
+FEATURES = FEATURE_NAMES  # of every example: whatever the forest in use asks for
+_GROWN = FEATURE_SETS["spotter"]
+_COLUMNS = [FEATURES.index(name) for name in _GROWN]
+SEED, STREETS, BODIES = 3000, 40, 700  # generated streets from this seed on, and bodies per class
+UNSEEN_SEED, UNSEEN_STREETS = 6000, 6  # streets that no forest was grown from: nothing may be forgotten there
+TREES, LEAVES, MIN_LEAF = 48, 1000, 4
+GROUP_WEIGHT = 4.0  # clusters of a street that one road user or place of the site is worth, at the most
+FOLDS = 3
+
+
+class Examples(NamedTuple):
+    """K labelled clusters: features (K, F) as in ``FEATURES``, labels, groups (K,) and weight (K,)."""
+
+    x: np.ndarray
+    labels: np.ndarray
+    groups: np.ndarray
+    weight: np.ndarray
+
+
+def generated_examples(config: InfraLidarConfig) -> Examples:
+    """Streets and bodies of all classes, made with this site's settings of ground and clusters."""
+    streets = scene_clusters(range(SEED, SEED + STREETS), Steps.of(config), frames=2)
+    bodies = generated_clusters(SEED, BODIES, background=2)
+    return join(_examples(streets, 1.0), _examples(bodies, BODY_WEIGHT))
+
+
+def unseen_examples(config: InfraLidarConfig) -> Examples:
+    """Streets of other seeds, to see what is forgotten."""
+    streets = scene_clusters(range(UNSEEN_SEED, UNSEEN_SEED + UNSEEN_STREETS), Steps.of(config), frames=1)
+    return _examples(streets, 1.0)
+
+
+def site_examples(record: SiteRecord, labels: SiteLabels) -> Examples:
+    """The clusters that labelled themselves; those of one group share ``GROUP_WEIGHT``."""
+    size = np.bincount(labels.groups)[labels.groups]
+    weight = np.minimum(1.0, GROUP_WEIGHT / size)
+    return Examples(record.x[labels.rows], labels.labels, labels.groups, weight)
+
+
+def grow(examples: Examples, story: dict[str, Any]) -> Forest:
+    """A forest of all examples, calibrated with what trees say of groups that they have not seen.
+
+    story: goes into the header.
+    """
+
+    x = examples.x[:, _COLUMNS]
+
+    def fit(rows: np.ndarray) -> RandomForestClassifier:
+        model = RandomForestClassifier(
+            TREES, max_depth=20, min_samples_leaf=MIN_LEAF, max_leaf_nodes=LEAVES, random_state=SEED, n_jobs=1
+        )
+        return model.fit(x[rows], examples.labels[rows], examples.weight[rows])
+
+    shares = np.zeros((len(x), len(CLASSES)))
+    for inside, outside in GroupKFold(FOLDS).split(x, groups=examples.groups):
+        model = fit(inside)
+        shares[np.ix_(outside, model.classes_)] = model.predict_proba(x[outside])
+    curve_x, curve_y = calibrate(shares, examples.labels)
+    return flatten(fit(np.arange(len(x))), _GROWN, curve_x, curve_y, story)
+
+
+def join(first: Examples, second: Examples) -> Examples:
+    """Both, their groups kept apart."""
+    groups = np.concatenate((first.groups, second.groups + first.groups.max(initial=-1) + 1))
+    pairs = (np.concatenate(pair) for pair in zip(first, second, strict=True))
+    return Examples(*pairs)._replace(groups=groups)
+
+
+def _examples(clusters: LabelledClusters, weight: float) -> Examples:
+    x = compute_features(clusters.points, clusters.offsets, clusters.ground_z_m, FEATURES)
+    return Examples(x, clusters.labels, clusters.groups, np.full(len(x), weight))

@@ -1,0 +1,77 @@
+"""Is the site's forest better than the one in use? On moments that it has not learned from. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from services.infra_lidar.classification.classes import BACKGROUND, CLASSES, UNKNOWN
+from services.infra_lidar.classification.forest import Forest
+
+MIN_USERS = 8  # road users that were held out: with fewer nothing can be said
+GAIN = 0.02  # of road users called right, or of the false ones a picture: less is no reason to change
+LOSS = 0.01  # of road users called right at the site, that may be lost
+FORGOTTEN = 0.02  # of each class on generated streets, that may be lost
+
+
+class Figures(NamedTuple):
+    """How a forest does: right: share of the held-out clusters of road users called right, each road user counting
+    once. false: clutter called a road user, a picture. recall: (C,) share of each class called right on generated
+    streets, NaN where there are none."""
+
+    right: float
+    false: float
+    recall: np.ndarray
+
+
+class HeldOut(NamedTuple):
+    """Clusters of the last part of a recording: x (K, F), labels, groups (K,), and the number of pictures."""
+
+    x: np.ndarray
+    labels: np.ndarray
+    groups: np.ndarray
+    pictures: int
+
+    @property
+    def users(self) -> int:
+        """Number of road users."""
+        return len(np.unique(self.groups[self.labels != BACKGROUND]))
+
+
+def called(forest: Forest, x: np.ndarray, names: tuple[str, ...], min_confidence: float) -> np.ndarray:
+    """(K,) index into ``LABELS`` as the service would call clusters with features (K, F), columns ``names``."""
+    probabilities = forest.class_probabilities(x[:, [names.index(name) for name in forest.features]])
+    sure = probabilities.max(axis=1, initial=0.0) >= min_confidence
+    return np.where(sure, probabilities.argmax(axis=1), UNKNOWN)
+
+
+def judge(said: np.ndarray, held_out: HeldOut, said_unseen: np.ndarray, unseen: np.ndarray) -> Figures:
+    """Figures from what a forest said of held-out clusters (K,) and of generated ones (U,), whose classes are
+    ``unseen`` (U,)."""
+    user = held_out.labels != BACKGROUND
+    size = np.bincount(held_out.groups)[held_out.groups[user]]
+    hit = said[user] == held_out.labels[user]
+    right = float(np.sum(hit / size) / max(np.sum(1.0 / size), 1e-9))
+    false = np.sum(~user & (said != BACKGROUND) & (said != UNKNOWN)) / max(held_out.pictures, 1)
+    recall = [np.mean(said_unseen[unseen == c] == c) if np.any(unseen == c) else np.nan for c in range(len(CLASSES))]
+    return Figures(right, float(false), np.array(recall))
+
+
+def objections(before: Figures, after: Figures, held_out: HeldOut) -> Iterator[str]:
+    """Why the new forest is not accepted; nothing when it is."""
+    if held_out.users < MIN_USERS:
+        yield (
+            f"{held_out.users} road users moved far enough in the held-out part, {MIN_USERS} are needed: "
+            "record longer, or at a busier time"
+        )
+    if after.right < before.right - LOSS:
+        yield f"road users called right fall from {before.right:.1%} to {after.right:.1%}"
+    if after.false > before.false:
+        yield f"false road users rise from {before.false:.2f} to {after.false:.2f} a picture"
+    if after.right < before.right + GAIN and after.false > (1.0 - GAIN) * before.false:
+        yield "it is no better: road users called right and false ones stay as they are"
+    for c, name in enumerate(CLASSES):
+        if c != BACKGROUND and after.recall[c] < before.recall[c] - FORGOTTEN:
+            yield f"{name} on generated streets falls from {before.recall[c]:.1%} to {after.recall[c]:.1%}"

@@ -1,0 +1,122 @@
+"""A made-up site from recording to forest: its barrier, which the forest in use calls a lorry, is unlearned."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+pytest.importorskip("sklearn")
+
+from services.infra_lidar.__main__ import app
+from services.infra_lidar.adaptation.adapt import learn_site, split
+from services.infra_lidar.adaptation.labels import label_site
+from services.infra_lidar.adaptation.recorder import SiteRecord, SiteRecorder, TrackStory
+from services.infra_lidar.adaptation.site_forest import FEATURES, Examples, grow
+from services.infra_lidar.classification.classifier import SHIPPED_MODEL, model_path
+from services.infra_lidar.config import BackgroundConfig, CalibrationConfig, ClassifierConfig, InfraLidarConfig
+from services.infra_lidar.pipeline import InfraLidarPipeline
+
+LARGE = 2
+MIDDLE = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.0, 4.0], [-4.0, 0.0]])  # of each class, two features
+BARRIER = np.array([0.0, 7.0])  # beyond the lorries: no other background is there
+
+
+def _x(rng, middle, n):
+    x = np.zeros((n, len(FEATURES)), np.float32)
+    x[:, [FEATURES.index("x_range"), FEATURES.index("z_top")]] = rng.normal(middle, 0.5, (n, 2))
+    return x
+
+
+def _generated(seed, n=60):
+    rng = np.random.default_rng(seed)
+    labels = np.repeat(np.arange(5), n)
+    return Examples(_x(rng, np.repeat(MIDDLE, n, axis=0), 5 * n), labels, np.arange(5 * n), np.ones(5 * n))
+
+
+def _site(users, seed=5):
+    """Two minutes: a barrier in each of 240 pictures, and lorries of ten clusters each that pass one by one."""
+    rng = np.random.default_rng(seed)
+    pictures = np.arange(240) * 500_000_000
+    barrier, lorries = _x(rng, BARRIER, 240), _x(rng, MIDDLE[LARGE], 10 * users)
+    begins = np.linspace(0, 110e9, users)
+    stamps = np.concatenate((pictures, (begins[:, None] + np.arange(10) * 500_000_000).ravel()))
+    tracks = {n: TrackStory(int(b), int(b + 5e9), np.zeros(3), 50 * np.eye(5)[LARGE], 60.0, 50, 50, 50)
+              for n, b in enumerate(begins)}  # fmt: skip
+    box = np.tile(np.array([0, 0, 0, 12.0, 1.0, 1.5, 0, 0], np.float32), (len(stamps), 1))
+    return SiteRecord(
+        x=np.concatenate((barrier, lorries)), called=np.tile(np.eye(5)[LARGE], (len(stamps), 1)), box=box,
+        stamp_ns=stamps.astype(np.int64), track=np.concatenate((np.full(240, -1), np.repeat(np.arange(users), 10))),
+        standing=np.concatenate((np.ones(240), np.zeros(10 * users))), tracks=tracks, pictures=pictures,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def in_use():
+    return grow(_generated(1), {"source": "a test"})
+
+
+def test_the_barrier_is_unlearned_and_lorries_are_not(in_use):
+    outcome = learn_site(InfraLidarConfig(), _site(40), in_use, (_generated(2), _generated(3)))
+    assert outcome.objections == []
+    assert outcome.before.false > 0.8
+    assert outcome.after.false < 0.1
+    assert outcome.after.right > 0.9
+    assert outcome.forest.provenance["instead_of"] == in_use.digest
+
+
+def test_a_site_without_traffic_is_refused(in_use):
+    outcome = learn_site(InfraLidarConfig(), _site(0), in_use, (_generated(2), _generated(3)))
+    assert "0 road users moved" in outcome.objections[0]
+
+
+def test_a_forest_that_forgets_a_class_is_refused(in_use):
+    without = _generated(2)
+    kept = without.labels != 4
+    without = Examples(*(column[kept] for column in without))
+    outcome = learn_site(InfraLidarConfig(), _site(40), in_use, (without, _generated(3)))
+    assert any("pedestrian on generated streets falls" in reason for reason in outcome.objections)
+
+
+def test_nothing_that_is_judged_by_was_learned_from():
+    record = _site(40)
+    learned, held_out, pictures = split(record, label_site(record))
+    assert not set(learned.rows) & set(held_out.rows)
+    assert pictures == pytest.approx(60, abs=1)
+    users = [set(part.groups[part.labels == LARGE].tolist()) for part in (learned, held_out)]
+    assert not users[0] & users[1]
+    assert min(map(len, users)) > 5
+
+
+def test_the_site_forest_is_used_while_it_is_there_and_undone_with_one_command(in_use, tmp_path):
+    path = tmp_path / "site.npz"
+    config = ClassifierConfig(site_model=str(path))
+    assert model_path(config) == SHIPPED_MODEL
+    in_use.save(path)
+    assert model_path(config) == path
+    undo = ["--set", f"classifier.site_model={path}", "adapt", "--undo"]
+    refused = CliRunner().invoke(app, undo)  # not written by adapt
+    assert "was not made by" in str(refused.exception)
+    assert path.exists()
+    grow(_generated(1), {"instead_of": "x"}).save(path)
+    assert CliRunner().invoke(app, undo).exit_code == 0
+    assert model_path(config) == SHIPPED_MODEL
+    assert "nothing to undo" in str(CliRunner().invoke(app, undo).exception)
+
+
+@pytest.mark.slow
+def test_on_a_real_motorway_trees_and_barriers_are_clutter_and_cars_in_their_lanes_are_not(recording):
+    pictures = sorted(recording("roadside-lidar80").glob("frame_*.npz"))
+    config = InfraLidarConfig(
+        background=BackgroundConfig(enabled=False), calibration=CalibrationConfig(height_min_m=2.0, max_tilt_deg=10.0)
+    )
+    pipeline, recorder = InfraLidarPipeline(config), SiteRecorder(FEATURES, config.ground.range_max_m)
+    for number, path in enumerate(pictures):  # they are seconds apart: no track lives on
+        with np.load(path) as stored:
+            recorder.add(pipeline.process(number * 10**10 + 1, stored["xyz"].astype(np.float32)), {})
+    record = recorder.record()
+    labels = label_site(record)
+    clutter = np.zeros(len(record.x), bool)
+    clutter[labels.rows] = True
+    y_m, car = np.abs(record.box[:, 1]), record.called[:, 1] > 0.9
+    assert set(np.unique(labels.labels)) == {0}
+    assert np.mean(clutter[y_m > 18.0]) > 0.6
+    assert np.mean(clutter[(y_m > 3.0) & (y_m < 15.0) & car]) == 0.0
