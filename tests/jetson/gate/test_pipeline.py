@@ -14,8 +14,8 @@ from common.config import ConfigError, load
 from common.messages import Verdict, WayAhead
 from services.jetson.gate import config as gate_config
 from services.jetson.gate.checks import Heard
-from services.jetson.gate.config import GateConfig, ReleaseConfig
-from services.jetson.gate.pipeline import Decision, GatePipeline
+from services.jetson.gate.config import GateConfig, LimitsConfig, ReleaseConfig
+from services.jetson.gate.pipeline import STOPPED, Decision, GatePipeline
 
 LEVEL = {"GO": "SAFE", "SLOW": "CAUTION", "STOP": "IMMINENT"}
 PERIOD_S = 0.02
@@ -180,6 +180,52 @@ def test_a_permission_ends_when_its_verdict_gets_too_old() -> None:
     drive = Drive().going()
     assert drive.round(heard(age_s=0.0)).valid_s == pytest.approx(0.2)
     assert drive.round(heard(age_s=0.2)).valid_s == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("age_s", [0.25, -0.05])
+def test_a_verdict_at_the_very_limit_of_its_age_is_in_time(age_s: float) -> None:
+    assert Drive().going().round(heard(age_s=age_s)).permission == "GO"
+
+
+@pytest.mark.parametrize(("kind", "words"), [("unknown", "data of unknown origin"), ("simulated", "simulated data")])
+def test_what_a_refused_verdict_rests_on_is_named(kind: Any, words: str) -> None:
+    told = msgspec.structs.replace(verdict(), source_kind=kind)
+    assert Drive().going().round(heard(verdict=told)).because == f"the verdict rests on {words}; accepted: live"
+
+
+def test_every_stop_permits_nothing() -> None:
+    drive = Drive("after_stop").going()
+    stopped = drive.round(heard("STOP"))
+    waiting, asking = drive.round(heard()), drive.rounds(heard(), 2.0)[-1]
+    for decision, cause in (
+        (STOPPED, "starting"), (stopped, "verdict"), (waiting, "waiting"), (asking, "acknowledge"),
+    ):  # fmt: skip
+        assert (decision.permission, decision.cause) == ("STOP", cause)
+        assert (decision.limit_mps, decision.valid_s) == (0.0, 0.0)
+    assert (STOPPED.left_s, STOPPED.acknowledge) == (0.0, False)
+    assert (asking.left_s, asking.acknowledge) == (0.0, True)
+    moving = Drive().going().round(heard())
+    assert (moving.left_s, moving.acknowledge) == (0.0, False)
+
+
+def test_times_that_are_over_to_the_moment() -> None:
+    """In sixteenths of a second, which are exact: a second after a stop, half a second of GO, 0.0625 s for a round."""
+    gate = GatePipeline(GateConfig(limits=LimitsConfig(overrun_s=0.0625)))
+
+    def at(sixteenth: int, permission: str = "GO") -> Decision:
+        return gate.process(8.0 + sixteenth / 16, heard(permission))
+
+    waiting = [at(k) for k in range(16)]
+    assert {(one.permission, one.cause) for one in waiting} == {("STOP", "waiting")}
+    assert waiting[-1].left_s == 1 / 16
+    assert at(16).permission == "GO"
+    assert at(17, "SLOW").permission == "SLOW"
+    assert [at(k).permission for k in range(18, 27)] == ["SLOW"] * 8 + ["GO"]
+
+
+def test_the_permission_is_no_longer_for_a_verdict_from_the_future() -> None:
+    assert Drive().going().round(heard(age_s=-0.04)).valid_s == 0.2
+    assert Drive().going().round(heard(age_s=0.15)).valid_s == pytest.approx(0.1)
 
 
 anything = st.builds(
