@@ -24,12 +24,13 @@ async function show(message) {
   try {
     const reply = await fetch(message.address);
     if (!reply.ok) return; // it is no longer kept: the next one
-    const next = picture.cloneNode();
-    next.src = URL.createObjectURL(await reply.blob());
+    const blob = await reply.blob();
+    const next = picture.cloneNode(); // with the address of the picture before: replaced before anything loads it again
+    next.src = URL.createObjectURL(blob);
     await next.decode();
-    URL.revokeObjectURL(next.src);
     next.hidden = false;
     picture.replaceWith(next);
+    URL.revokeObjectURL(picture.src);
     picture = next;
     inPicture = describe(message, message.captions);
     say(inPicture);
