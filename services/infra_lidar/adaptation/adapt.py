@@ -23,6 +23,7 @@ from services.infra_lidar.classification.forest import Forest
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.input.source import open_source, surveyed_pose
 from services.infra_lidar.pipeline import InfraLidarPipeline
+from services.infra_lidar.warm_up import warm_up
 
 LEARN_SHARE = 0.75  # of the recording; what comes later is held out
 
@@ -50,6 +51,7 @@ def record_site(config: InfraLidarConfig, seconds: float) -> SiteRecord:
     config = msgspec.structs.replace(config, T_map_sensor=surveyed_pose(config), background=whole)
     pipeline = InfraLidarPipeline(config)
     recorder = SiteRecorder(FEATURES, config.ground.range_max_m)
+    warm_up(config, lambda text: None)  # else compiling would be part of the time
     first_ns: int | None = None
     for stamp_ns, frame in open_source(config, Report("adapt")):
         first_ns = stamp_ns if first_ns is None else first_ns
@@ -73,6 +75,12 @@ def split(record: SiteRecord, labels: SiteLabels) -> tuple[SiteLabels, SiteLabel
     return *parts, int(np.sum(record.pictures >= begin_ns))  # type: ignore[return-value]
 
 
+def divide(record: SiteRecord) -> tuple[SiteLabels, HeldOut]:
+    """Label a recording: what is learned from, and what is held out."""
+    learned, late, pictures = split(record, label_site(record))
+    return learned, HeldOut(record.x[late.rows], late.labels, late.groups, pictures)
+
+
 def learn_site(
     config: InfraLidarConfig, record: SiteRecord, in_use: Forest, generated: tuple[Examples, Examples]
 ) -> Outcome:
@@ -80,9 +88,7 @@ def learn_site(
 
     generated: to grow with, and to see what is forgotten.
     """
-    labels = label_site(record)
-    learned, late, pictures = split(record, labels)
-    held_out = HeldOut(record.x[late.rows], late.labels, late.groups, pictures)
+    learned, held_out = divide(record)
     to_grow, unseen = generated
     story = {"source": "generated clusters and those of a site", "site_clusters": np.bincount(learned.labels).tolist()}
     forest = grow(join(to_grow, site_examples(record, learned)), {**story, "instead_of": in_use.digest})

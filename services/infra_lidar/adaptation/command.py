@@ -47,9 +47,7 @@ def adapt(
     if not path.parent.is_dir():
         raise ConfigError(f"{path}: no folder {path.parent}")
     outcome = _learn(config, seconds)
-    if outcome.objections:
-        _say("refused, nothing is changed:", *(f"  {reason}" for reason in outcome.objections))
-        raise typer.Exit(1)
+    _refuse(outcome.objections)
     try:
         outcome.forest.save(path)
     except OSError as error:
@@ -60,18 +58,27 @@ def adapt(
 
 
 def _learn(config: InfraLidarConfig, seconds: float) -> Outcome:
-    from services.infra_lidar.adaptation.adapt import learn_site, record_site
+    from services.infra_lidar.adaptation.adapt import divide, learn_site, record_site
     from services.infra_lidar.adaptation.site_forest import generated_examples, unseen_examples
+    from services.infra_lidar.adaptation.verdict import too_few
 
     try:
         record = record_site(config, seconds)
     except ValueError as error:
         raise ConfigError(f"{config.source}: {error}") from None
     _say(_seen(record))
+    _refuse(list(too_few(divide(record)[1])))  # before minutes are spent on growing
     generated = generated_examples(config), unseen_examples(config)
     outcome = learn_site(config, record, Classifier(config.classifier).forest, generated)
     _say(*_table(outcome))
     return outcome
+
+
+def _refuse(objections: list[str]) -> None:
+    """End with exit code 1 where there is an objection."""
+    if objections:
+        _say("refused, nothing is changed:", *(f"  {reason}" for reason in objections))
+        raise typer.Exit(1)
 
 
 def _seen(record: SiteRecord) -> str:

@@ -59,13 +59,18 @@ def judge(said: np.ndarray, held_out: HeldOut, said_unseen: np.ndarray, unseen: 
     return Figures(right, float(false), np.array(recall))
 
 
-def objections(before: Figures, after: Figures, held_out: HeldOut) -> Iterator[str]:
-    """Why the new forest is not accepted; nothing when it is."""
+def too_few(held_out: HeldOut) -> Iterator[str]:
+    """The objection that needs no forest."""
     if held_out.users < MIN_USERS:
         yield (
             f"{held_out.users} road users moved far enough in the held-out part, {MIN_USERS} are needed: "
             "record longer, or at a busier time"
         )
+
+
+def objections(before: Figures, after: Figures, held_out: HeldOut) -> Iterator[str]:
+    """Why the new forest is not accepted; nothing when it is."""
+    yield from too_few(held_out)
     if after.right < before.right - LOSS:
         yield f"road users called right fall from {before.right:.1%} to {after.right:.1%}"
     if after.false > before.false:
