@@ -20,7 +20,7 @@ from common.security.router_config import laptop_config, router_config, with_cer
 from spotter_tools.ports import free_port
 
 REPOSITORY = Path(__file__).parent.parent
-BUDGET_S = 20.0
+BUDGET_S = 60.0
 HOSTS = {
     "pi0": ("radar", "blackbox"),
     "jetson0": ("lidar", "camera", "fusion", "gate"),
@@ -123,7 +123,7 @@ def _until(condition: Callable[[], object], what: str = "the condition", *, budg
 
 @pytest.fixture(scope="session")
 def until() -> Callable[..., None]:
-    """``until(condition, what)`` polls until the condition is true and fails when the budget (20 s) is over."""
+    """``until(condition, what)`` polls until the condition is true and fails when the budget (60 s) is over."""
     return _until
 
 

@@ -26,7 +26,7 @@ HERE = Path(__file__).parent
 STANDIN = f"{sys.executable} {HERE / 'standin_radar.py'}"
 WORSE = f"{sys.executable} {HERE / 'standin_worse.py'}"
 BIN = Path(sys.executable).parent
-BUDGET_S = 30.0
+BUDGET_S = 60.0
 
 
 @pytest.fixture

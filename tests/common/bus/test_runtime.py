@@ -19,7 +19,7 @@ from common.codec import decode
 from common.config import ConfigError, ServiceConfig, ZenohConfig
 from common.messages import ClockReply, LidarZone, LidarZones, RadarTracks, ServiceInfo, ServiceStatus
 
-BUDGET_S = 10.0
+BUDGET_S = 60.0
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from common.recording.file import RecordingFile
 from common.recording.recorder import DiskFull, Recorder
 
 KEY = "jetson0/fusion/verdict"
-BUDGET_S = 20.0
+BUDGET_S = 60.0
 
 
 def add_message(file: RecordingFile, key: str, message: Message, log_ns: int) -> None:

@@ -31,7 +31,7 @@ from services.jetson.camera.gstreamer import command
 from services.jetson.camera.source import open_source
 
 WIDTH, HEIGHT = 64, 48
-BUDGET_S = 30.0
+BUDGET_S = 60.0
 pytestmark = pytest.mark.system
 
 REPOSITORY = Path(__file__).parents[3]

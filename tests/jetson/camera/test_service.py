@@ -22,7 +22,7 @@ from common.messages import CameraDetections, CompressedImage, Message, ServiceS
 from common.topics import CAMERA_DETECTIONS, CAMERA_IMAGE, status_topic
 from services.jetson.camera.detector import DEMO_MODEL
 
-BUDGET_S = 30.0
+BUDGET_S = 60.0
 HOST = "jetson0"
 REAL = ("--source", "csi:0", "--set", f"detector.model={DEMO_MODEL}")
 pytestmark = pytest.mark.system

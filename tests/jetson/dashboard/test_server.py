@@ -31,13 +31,13 @@ pytestmark = [pytest.mark.system]
 
 def get(url: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
     try:
-        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=5) as reply:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=30) as reply:
             return reply.status, dict(reply.headers), reply.read()
     except urllib.error.HTTPError as error:
         return error.code, dict(error.headers), error.read()
 
 
-def eventually(condition: Callable[[], Any], budget_s: float = 15.0) -> Any:
+def eventually(condition: Callable[[], Any], budget_s: float = 60.0) -> Any:
     deadline_s = time.monotonic() + budget_s
     while not (value := condition()):
         assert time.monotonic() < deadline_s, "did not happen in time"

@@ -24,7 +24,7 @@ from services.jetson.fusion.config import FusionConfig
 from services.jetson.fusion.pipeline import FusionPipeline
 from services.jetson.fusion.source import observe
 
-BUDGET_S = 20.0
+BUDGET_S = 60.0
 HOSTS = {"lidar": "jetson0", "radar": "pi0", "camera": "jetson0", "infra_lidar": "infra0"}
 
 

@@ -25,7 +25,7 @@ from common.messages import LaserScan, LidarZones, ServiceStatus
 from spotter_sim import ld06
 
 pytestmark = pytest.mark.patient
-BUDGET_S = 20.0
+BUDGET_S = 60.0
 BACK_S = 2.0  # from the device's return to the first zones: retries are at most 1 s apart, then one whole turn
 
 
