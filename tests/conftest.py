@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -26,6 +27,10 @@ HOSTS = {
     "jetson0": ("lidar", "camera", "fusion", "gate"),
     "infra0": ("infra_lidar",),
 }
+
+# What a shell starts in the background ignores Ctrl-C, and so would all programs that the tests start and interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A shared machine is slow now and then: examples are bounded by number, not by time.
 settings.register_profile("spotter", deadline=None, suppress_health_check=[HealthCheck.too_slow])
