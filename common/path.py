@@ -129,6 +129,15 @@ class Path:
         front_rad = np.arcsin(np.minimum(self.config.front_m / np.maximum(distance_m, 1e-9), 1.0))
         return radius_m * (np.arctan2(x, to_centre) - front_rad), side * (radius_m - distance_m)
 
+    def towards(self, point_m: np.ndarray) -> np.ndarray:
+        """(2,) direction from a place (2,) square to the middle of the way."""
+        if abs(self.curvature_per_m) < STRAIGHT_PER_M:
+            return np.array([0.0, -1.0 if point_m[1] > 0.0 else 1.0])
+        to_centre = np.array([0.0, 1.0 / self.curvature_per_m]) - point_m
+        distance_m = max(float(np.hypot(*to_centre)), 1e-9)
+        outside = distance_m > 1.0 / abs(self.curvature_per_m)
+        return np.asarray((to_centre if outside else -to_centre) / distance_m)
+
     def place(self, ahead_m: np.ndarray, beside_m: np.ndarray) -> np.ndarray:
         """(N, 2) points of given places along the path: the inverse of ``locate``."""
         if abs(self.curvature_per_m) < STRAIGHT_PER_M:

@@ -177,6 +177,7 @@ class PathAlarmConfig(Section, frozen=True, kw_only=True):
     certain_sigmas: Annotated[float, Meta(ge=0.0, le=10.0)] = 2.5  # its speed shows it beside: no IMMINENT
     likely_sigmas: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.5  # so much less sure: no CAUTION either
     sideways_mps: Positive = 0.5  # standard deviation of a new track's speed across the line of sight
+    sure_sigmas: Annotated[float, Meta(ge=0.0, le=5.0)] = 1.0  # less sure, what moves beside the way goes along it
     acceleration_mps2: Positive = 1.5  # of what moves, over ground
     cover_far_m: NotNegative = 6.0  # up to here a standing obstacle in the way is seen for certain
     cover_half_rad: Annotated[float, Meta(ge=0.0, le=1.58)] = (

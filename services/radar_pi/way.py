@@ -117,7 +117,7 @@ class Way:
         """Both courses; they differ only by how sure the track's speed has to be."""
         settings = self._config.on_path
         for course, sigmas in ((meeting.possible, settings.certain_sigmas), (meeting.likely, settings.likely_sigmas)):
-            points = list(self._places(track, meeting, meeting.standing.least_beside_m(sigmas)))
+            points = list(self._places(track, meeting, path, meeting.standing.least_beside_m(sigmas)))
             contact_s = _first_contact_s(path, points, settings)
             meets = contact_s is not None
             if contact_s is None and course.on_way and course.contact_s is not None:
@@ -130,8 +130,9 @@ class Way:
             inside = path.contains(ahead, beside, settings.sigmas * sigma_m)
             course.in_corridor = bool(inside.any())
             course.ahead_m = float(ahead[inside].min() if course.in_corridor else ahead.min())
-            # What is only carried on is no vote: it would keep the track on the way for ever
-            self._vote(course, meets or course.in_corridor)
+            # What is only carried on is no vote: neither an echo that failed to come, nor a contact of earlier frames
+            if track.measured is not None:
+                self._vote(course, meets or course.in_corridor)
 
     def _vote(self, course: Course, meets: bool) -> None:
         """Several frames in a row decide, as they do for the approach gate."""
@@ -139,11 +140,25 @@ class Way:
         if course.votes >= self._config.on_path.way_frames:
             course.on_way, course.votes = meets, 0
 
-    def _places(self, track: Track, meeting: Meeting, least_m: float) -> Iterable[MovingPoint]:
+    def _sure_mps(self, ground: OverGround, path: Path) -> np.ndarray:
+        """The velocity; of what is beside the way without a part towards it that may as well be none.
+
+        The azimuth wavers: who goes along beside the way seems to drift into it now and then.
+        """
+        velocity = ground.state[2:]
+        if path.contains(*path.locate(ground.state[None, :2]))[0]:
+            return velocity
+        towards = path.towards(ground.state[:2])
+        nearing_mps = float(velocity @ towards)
+        sigma_mps = float(towards @ ground.covariance[2:, 2:] @ towards) ** 0.5
+        drifts = 0.0 < nearing_mps < self._config.on_path.sure_sigmas * sigma_mps
+        return velocity - nearing_mps * towards if drifts else velocity
+
+    def _places(self, track: Track, meeting: Meeting, path: Path, least_m: float) -> Iterable[MovingPoint]:
         """Where the track may be: as the filter has it, but what stands no nearer to the way than its speed shows."""
         ground = meeting.ground
         if meeting.standing.has_moved:
-            yield MovingPoint(ground.state[:2], ground.state[2:], ground.covariance)
+            yield MovingPoint(ground.state[:2], self._sure_mps(ground, path), ground.covariance)
             return
         covariance = np.zeros((4, 4))
         covariance[:2, :2] = ground.covariance[:2, :2]

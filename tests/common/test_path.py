@@ -226,3 +226,13 @@ def test_what_is_hardly_known_is_not_everywhere() -> None:
     assert path.time_to_contact_s(beside, 4.0) is not None
     assert path.time_to_contact_s(beside, 4.0, widest_m=0.5) is None
     assert path.time_to_contact_s(ahead, 4.0, widest_m=0.5) is not None
+
+
+@given(speeds, yaw_rates, st.floats(-3.0, 6.0), st.floats(-3.0, 3.0))
+def test_a_step_towards_the_way_is_a_step_nearer_to_it(speed: float, yaw_rate: float, x_m: float, y_m: float) -> None:
+    path = Path(CONFIG, Motion(speed, yaw_rate))
+    place, step_m = np.array([x_m, y_m]), 1e-4
+    _, (beside_m, then_m) = path.locate(np.array([place, place + step_m * path.towards(place)]))
+    assume(abs(beside_m) > 2 * step_m)
+    assume(abs(path.curvature_per_m * beside_m) < 0.99)  # the middle of the circle is as far from all of it
+    assert abs(beside_m) - abs(then_m) == pytest.approx(step_m, rel=1e-3)

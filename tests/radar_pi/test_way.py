@@ -19,6 +19,7 @@ from spotter_sim.model import Scenario
 from spotter_sim.motion import Straight
 from spotter_sim.straight import box_ahead, parked_lane, passage, person_ahead
 from spotter_sim.vehicle import MODEL_CAR
+from spotter_tools.prove.configs import configs_of
 
 CONFIG = RadarConfig()
 SHAPE = simulator_waveform(CONFIG.waveform)
@@ -169,3 +170,54 @@ def test_the_cover_is_of_all_that_stands_only_while_driving() -> None:
     assert told[5].message.cover is not None
     assert told[5].message.cover.far_m == [0.0]  # the background is not learned yet
     assert told[5].message.cover.why
+
+
+def followed(place_m: tuple[float, float], velocity_mps: tuple[float, float], seen: range, seed: int) -> list[Level]:
+    """The levels of a body that moves, measured with noise in the frames ``seen`` and missed after them.
+
+    ``place_m`` and ``velocity_mps`` over ground in the vehicle's frame of the first frame; we drive 2 m/s.
+    """
+    rng, way, told, own_mps = np.random.default_rng([27, seed]), Way(CONFIG), [], 2.0
+    track = Track(np.zeros(3), np.eye(3), snr_db=20.0, has_azimuth=True, approaching=True)
+    for frame in seen:
+        offset = np.array(place_m) - [CONFIG.mounting.x_m, 0.0]
+        relative = np.array(velocity_mps) - [own_mps, 0.0]
+        offset += relative * frame * PERIOD_S
+        range_m, bearing_rad = float(np.hypot(*offset)), float(np.arctan2(offset[1], offset[0]))
+        noise = rng.standard_normal(3) * [0.05, 0.03, 0.05]
+        track.measured = np.array([range_m, relative @ offset / range_m, bearing_rad]) + noise
+        track.state = track.measured.copy()
+        way.update(round(frame * PERIOD_S * 1e9), [track], Motion(own_mps))
+        assert track.meeting is not None
+        track.meeting.standing._surges = 9  # its speed has shown that it moves
+        told.append(way.level(track))
+    return told
+
+
+def test_who_walks_along_beside_the_way_wavers_and_does_not_alarm() -> None:
+    for seed in range(6):
+        assert set(followed((5.0, 1.0), (0.8, 0.0), range(36), seed)) == {"SAFE"}
+
+
+def test_who_walks_into_the_way_is_imminent_in_time() -> None:
+    """From the side, to be hit after 2.0 s."""
+    for seed in range(12):
+        told = followed((4.2, -2.5), (0.0, 1.2), range(21), seed)
+        assert told.index("IMMINENT") <= 14
+
+
+def test_an_echo_that_failed_to_come_puts_nothing_on_the_way() -> None:
+    """An oncoming car slides past a cart; its echo jumps back along its side once, and is gone."""
+    way, own_mps = Way(configs_of("cart").radar), 2.0
+    track = Track(np.zeros(3), np.eye(3), snr_db=36.0, has_azimuth=True, approaching=True)
+    echoes = [(3.14, -3.65, 0.42), (2.75, -3.55, 0.49), (2.345, -3.333, 0.595), None, (1.742, -2.605, 0.865)]
+    told = []
+    for frame, echo in enumerate([*echoes, (1.494, -3.195, 0.669), None, None]):
+        track.measured = None if echo is None else np.array(echo)
+        track.state = track.state if echo is None else np.array(echo)
+        way.update(round(frame * PERIOD_S * 1e9), [track], Motion(own_mps))
+        assert track.meeting is not None
+        track.meeting.standing._surges = 9
+        told.append(way.level(track))
+    assert track.meeting.likely.contact_s is not None  # carried on as the last echo has it, it would come
+    assert set(told) == {"SAFE"}

@@ -142,6 +142,16 @@ class MoversSection(Section, frozen=True, kw_only=True):
     hold_s: NotNegative = 0.4
 
 
+class LeadSection(Section, frozen=True, kw_only=True):
+    """What drives ahead of us in the lane."""
+
+    window_s: Annotated[float, Meta(ge=0.2, le=3.0)] = 0.65
+    scans: Annotated[int, Meta(ge=4, le=50)] = 5
+    sigma_m: Positive = 0.03
+    straight_radps: NotNegative = 0.1
+    brake_mps2: Positive = 6.0
+
+
 class HealthSection(Section, frozen=True, kw_only=True):
     """When the sensor no longer sees."""
 
@@ -173,4 +183,5 @@ class LidarConfig(ServiceConfig, frozen=True, kw_only=True):
     path: PathConfig = field(default_factory=PathConfig)
     persistence: PersistenceSection = field(default_factory=PersistenceSection)
     movers: MoversSection = field(default_factory=MoversSection)
+    lead: LeadSection = field(default_factory=LeadSection)
     health: HealthSection = field(default_factory=HealthSection)

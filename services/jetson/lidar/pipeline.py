@@ -14,6 +14,7 @@ from common.path import Path, is_driving
 from services.jetson.lidar.config import LidarConfig, ZonesSection
 from services.jetson.lidar.filters import RejectReason, Returns, judge, returns_of
 from services.jetson.lidar.health import Evidence, HealthMonitor, could_see, covered_by_something_near, evidence
+from services.jetson.lidar.lead import Lead
 from services.jetson.lidar.movers import Movers
 from services.jetson.lidar.persistence import LanePersistence, Silence
 from services.jetson.lidar.way import along_the_way, cover_of, driven_m, layout_of, zones_for
@@ -33,6 +34,8 @@ class LidarPipeline:
         self._lanes = [LanePersistence(config.persistence) for _ in LANES]
         self._scanner = LaneScanner(config.zones)
         self._movers = Movers(config)
+        self._lead = Lead(config)
+        self._lead_mps = 0.0
         self._silence = Silence(config.persistence)
         self._health = HealthMonitor(config.health, config.filter, config.zones.fov_deg)
         self._zones = config.zones  # in use: the bands grow with the vehicle's speed
@@ -66,6 +69,10 @@ class LidarPipeline:
 
         # The nearest thing in each lane that enough returns vouch for, in this scan or over the last ones
         measured = self._scanner.measure(ahead, reject_reason == RejectReason.USED, self._zones)
+
+        # Who drives ahead of us needs less room than what stands
+        self._lead_mps = self._lead.update(stamp_ns, measured[LANES.index("centre")].nearest_m, motion)
+        self._zones = zones_for(config, motion, self._lead_mps)
 
         # Could the last fifteen scans see, and could this one?
         seen = evidence(returns, reject_reason, config.zones.fov_deg, config.health.sectors, _motor(scan))
@@ -104,12 +111,15 @@ class LidarPipeline:
         return LidarZone(nearest_m=ahead_m, points=centre.points, level=level)
 
     def _carry(self, stamp_ns: int, motion: Motion | None) -> None:
+        """What stands has come nearer by what was driven; what drives ahead in the lane, by so much less."""
         last_ns, self._carried_ns = self._carried_ns, stamp_ns
-        nearer_m = driven_m(self._config, motion, 0.0 if last_ns is None else (stamp_ns - last_ns) * 1e-9)
+        dt_s = 0.0 if last_ns is None else (stamp_ns - last_ns) * 1e-9
+        nearer_m = driven_m(self._config, motion, dt_s)
         if nearer_m > 0.0:
             self._scanner.carry(nearer_m)
-            for lane in self._lanes:
-                lane.carry(nearer_m)
+            for name, lane in zip(LANES, self._lanes, strict=True):
+                left_m = self._lead_mps * dt_s if name == "centre" else 0.0
+                lane.carry(max(0.0, nearer_m - left_m))
 
     def _may_clear(self, seen: Evidence, returns: Returns, degraded: bool) -> bool:
         """A scan that could not have seen an obstacle says nothing about its absence, until the sensor is called

@@ -17,12 +17,16 @@ from services.jetson.lidar.config import LidarConfig, ZonesSection
 from services.jetson.lidar.filters import RejectReason, Returns
 
 SECTOR_DEG = 2.0
+LEAD_KNOWN_S = 1.0  # the lane is looked at so long before CAUTION: by then it is known who drives ahead
 CURVED_PER_M = 0.05  # curves end: what lies far along one says little
 _HIDING = (RejectReason.NEAR, RejectReason.ECHO_ONLY, RejectReason.WEAK, RejectReason.BODY, RejectReason.IGNORED)
 
 
-def zones_for(config: LidarConfig, motion: Motion | None) -> ZonesSection:
+def zones_for(config: LidarConfig, motion: Motion | None, lead_mps: float = 0.0) -> ZonesSection:
     """The centre lane's bands at this speed: what a stop needs is IMMINENT, ``caution_lead_s`` before it CAUTION.
+
+    Of the way to stop, what is ahead in the lane leaves its own free when it drives at ``lead_mps`` (``lead.py``), and
+    it comes nearer by the difference of the speeds only.
 
     Its width is that of the vehicle and the side margins. In a curve ``curve_lead_s`` counts instead.
 
@@ -31,15 +35,15 @@ def zones_for(config: LidarConfig, motion: Motion | None) -> ZonesSection:
     zones = config.zones
     if motion is None or not is_driving(motion, config.path):
         return zones
-    stop_m = stopping_m(motion.speed_mps, config.path)
+    stop_m = max(0.0, stopping_m(motion.speed_mps, config.path) - lead_mps**2 / (2.0 * config.lead.brake_mps2))
     curved = abs(Path(config.path, motion).curvature_per_m) > CURVED_PER_M
     lead_s = zones.curve_lead_s if curved else zones.caution_lead_s
-    caution_m = max(zones.caution_m, stop_m + lead_s * motion.speed_mps)
+    caution_m = max(zones.caution_m, stop_m + lead_s * max(0.0, motion.speed_mps - lead_mps))
     return msgspec.structs.replace(
         zones,
         imminent_m=max(zones.imminent_m, stop_m),
         caution_m=caution_m,
-        look_ahead_m=max(zones.look_ahead_m, caution_m),
+        look_ahead_m=max(zones.look_ahead_m, caution_m + LEAD_KNOWN_S * motion.speed_mps),
         fov_deg=max(zones.fov_deg, 2 * zones.cover_half_deg),
         centre_width_m=max(zones.centre_width_m, config.path.width_m + 2 * config.path.side_margin_m),
     )

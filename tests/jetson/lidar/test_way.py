@@ -44,7 +44,7 @@ def test_the_bands_reach_as_far_as_the_vehicle_needs_to_stop(speed_mps: float) -
     zones, stop_m = zones_for(CONFIG, Motion(speed_mps)), stopping_m(speed_mps, CONFIG.path)
     assert zones.imminent_m == max(0.8, stop_m)
     assert zones.caution_m == pytest.approx(max(1.8, stop_m + 1.9 * speed_mps))
-    assert zones.look_ahead_m == max(3.0, zones.caution_m)
+    assert zones.look_ahead_m == max(3.0, zones.caution_m + speed_mps)  # a second to know who drives ahead
 
 
 @pytest.mark.parametrize(("speed_mps", "caution_m", "imminent_m"), [(1.0, 2.0, 0.75), (2.0, 4.5, 1.6), (3.0, 7.0, 2.8)])
