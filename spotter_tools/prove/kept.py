@@ -25,6 +25,7 @@ KEPT = (
     "cyclist from near, 2 m/s, without radar",
     "child behind a parked car, 2 m/s, without lidar+camera",
     "cyclist from near, 2 m/s, motion unknown",
+    "parked rows, 1 m/s, 0.7 m",
     "parked rows, 2 m/s, 0.7 m",
     "parked rows, 3 m/s, 0.7 m",
     "gate, 1 m/s, 0.3 m",

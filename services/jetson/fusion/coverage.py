@@ -16,6 +16,7 @@ import numpy as np
 
 from common.messages import Cover, Motion, Uncovered, WayAhead
 from common.path import Path, PathConfig, is_driving, safe_speed_mps
+from common.topics import spoken
 
 CELL_M = 0.1  # along the way
 ACROSS = 5  # cells over its width
@@ -123,12 +124,12 @@ def runs(flags: np.ndarray) -> list[tuple[int, int]]:
 
 def why_not(covers: Mapping[str, Cover | None], out: Mapping[str, str]) -> str:
     """Why a part of the way is not seen: what each sensor lacks, in words."""
-    words = [f"{name} {reason}" for name, reason in out.items()]
+    words = [f"{spoken(name)} {reason}" for name, reason in out.items()]
     for name, cover in covers.items():
         if cover is None:
-            words.append(f"{name} does not say what it covers")
+            words.append(f"{spoken(name)} does not say what it covers")
         elif not cover.standing:
-            words.append(f"{name} sees only what moves")
+            words.append(f"{spoken(name)} sees only what moves")
         elif cover.why:
-            words.append(f"{name}: {cover.why}")
+            words.append(f"{spoken(name)}: {cover.why}")
     return "; ".join(words) or "beyond what the sensors cover"

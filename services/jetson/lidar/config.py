@@ -93,6 +93,7 @@ class ZonesSection(Section, frozen=True, kw_only=True):
     near_m: Positive = 0.15
     caution_lead_s: NotNegative = 1.9
     curve_lead_s: NotNegative = 0.3
+    lines_wait: bool = True
     cover_far_m: NotNegative = 8.0
     cover_half_deg: Annotated[float, Meta(ge=1.0, le=90.0)] = 90.0
     thin_scans: Annotated[int, Meta(ge=1, le=10)] = 3
@@ -123,7 +124,7 @@ class MoversSection(Section, frozen=True, kw_only=True):
     range_m: Positive = 7.0
     points: Annotated[int, Meta(ge=1, le=1000)] = 2
     join_m: Positive = 0.40
-    size_m: Positive = 1.1
+    size_m: Positive = 2.0
     free_m: Positive = 0.30
     same_size_m: Positive = 0.45
     gate_m: Positive = 0.40

@@ -27,6 +27,7 @@ class RejectReason(IntEnum):
     WEAK = 6  # confidence too low
     ISOLATED = 7  # no neighbour agrees
     IGNORED = 8  # a part of the vehicle that the configuration names
+    GRAZING = 9  # alone by its range, but on a straight line with its neighbours: a surface seen at a flat angle
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ def judge(
     if before is not None and alone.any():
         alone[alone] = ~pair_seen_again(returns, candidates[alone], before, config)
     reject_reason[candidates[alone]] = RejectReason.ISOLATED
+    reject_reason[candidates[alone & in_line(returns, candidates, config)]] = RejectReason.GRAZING
     return reject_reason
 
 
@@ -129,6 +131,27 @@ def neighbours(returns: Returns, candidates: np.ndarray, config: FilterSection) 
         support[k:] += agree
         support[:-k] += agree
     return support
+
+
+def in_line(returns: Returns, candidates: np.ndarray, config: FilterSection) -> np.ndarray:
+    """(K,) bool per candidate: on a straight line with two others beside it.
+
+    The flank of a parked car ahead comes back from every metre: no two neighbours agree in range. But along a straight
+    line the inverse range is a sinusoid of the angle, so between three beams that lie close together it changes evenly.
+    Drops of rain do that by chance only.
+    """
+    angle, reach = returns.angle_rad[candidates], returns.range_m[candidates]
+    lies = np.zeros(len(candidates), bool)
+    if len(candidates) < 3:
+        return lies
+    step = np.diff(angle)
+    close = (np.maximum(step[1:], step[:-1]) < (NEIGHBOURS + 0.5) * returns.step_rad) & (step[1:] + step[:-1] > 0.0)
+    share = step[:-1] / np.maximum(step[1:] + step[:-1], 1e-9)
+    between_m = 1.0 / ((1.0 - share) / reach[:-2] + share / reach[2:])
+    even = close & (np.abs(reach[1:-1] - between_m) <= config.neighbour_m)
+    for first in range(3):
+        lies[first : first + len(even)] |= even
+    return lies
 
 
 def pair_seen_again(returns: Returns, alone: np.ndarray, before: Returns, config: FilterSection) -> np.ndarray:

@@ -16,6 +16,8 @@ from services.jetson.lidar.config import FilterSection, HealthSection
 from services.jetson.lidar.filters import RejectReason, Returns
 
 REASONS = len(RejectReason)
+PASSES_RAD = np.radians(1.2)  # a beam and a half, over two thirds of the scans that are judged together
+_CAME_BACK = (RejectReason.USED, RejectReason.ISOLATED, RejectReason.GRAZING)
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,7 @@ class Evidence:
     reach_m: np.ndarray  # (sectors + 2,) sum of the ranges of what returned
     ring: np.ndarray  # (REASONS,) int counts outside the cone
     motor: str  # what the assembler says about the motor; "" = turns
+    bearings_rad: tuple[np.ndarray, ...] = ()  # by scan: (K,) of the beams that came back, or ended at the lens
 
     @property
     def sectors(self) -> np.ndarray:
@@ -39,7 +42,11 @@ class Evidence:
 
     def __add__(self, other: Evidence) -> Evidence:
         return Evidence(
-            self.fan + other.fan, self.reach_m + other.reach_m, self.ring + other.ring, self.motor and other.motor
+            self.fan + other.fan,
+            self.reach_m + other.reach_m,
+            self.ring + other.ring,
+            self.motor and other.motor,
+            self.bearings_rad + other.bearings_rad,
         )
 
 
@@ -50,19 +57,26 @@ def evidence(returns: Returns, reject_reason: np.ndarray, fov_deg: float, sector
     ring = (sector < 1) | (sector > sectors)
     near = (sector >= 0) & (sector <= sectors + 1)
     counts = np.bincount(sector[near] * REASONS + reject_reason[near], minlength=(sectors + 2) * REASONS)
-    came_back = near & ((reject_reason == RejectReason.USED) | (reject_reason == RejectReason.ISOLATED))
+    came_back = near & np.isin(reject_reason, _CAME_BACK)
     reach_m = np.bincount(sector[came_back], weights=returns.range_m[came_back], minlength=sectors + 2)
-    return Evidence(counts.reshape(-1, REASONS), reach_m, np.bincount(reject_reason[ring], minlength=REASONS), motor)
+    lit_rad = returns.angle_rad[reject_reason != RejectReason.NO_ECHO]
+    ring_counts = np.bincount(reject_reason[ring], minlength=REASONS)
+    return Evidence(counts.reshape(-1, REASONS), reach_m, ring_counts, motor, (lit_rad,))
 
 
-def could_see(seen: Evidence, returns: Returns, fov_deg: float, config: HealthSection) -> bool:
-    """Would this scan have shown an obstacle? Only then may it count towards lowering an alarm: enough of the cone was
-    measured, something came back from it, and most of it was not stopped at the lens."""
+def looked(seen: Evidence, returns: Returns, fov_deg: float, config: HealthSection) -> bool:
+    """Enough of the cone was measured, and most of it was not stopped at the lens."""
     measured = int(seen.cone.sum())
     expected = np.radians(fov_deg) / returns.step_rad
     obstructed = seen.cone[[RejectReason.NEAR, RejectReason.ECHO_ONLY, RejectReason.WEAK]].sum()
     share = config.observed_share
-    return measured >= share * expected and _returned(seen.cone) > 0 and obstructed <= share * measured
+    return bool(measured >= share * expected and obstructed <= share * measured)
+
+
+def could_see(seen: Evidence, returns: Returns, fov_deg: float, config: HealthSection) -> bool:
+    """Would this scan have shown an obstacle? Only then may it count towards lowering an alarm: something came back
+    as well, since nothing at all may be a black cover."""
+    return looked(seen, returns, fov_deg, config) and _returned(seen.cone) > 0
 
 
 def covered_by_something_near(seen: Evidence, config: HealthSection) -> bool:
@@ -82,6 +96,7 @@ class HealthMonitor:
         self._config, self._filters, self._fov_deg = config, filters, fov_deg
         self._history: deque[tuple[int, Evidence]] = deque(maxlen=max(config.scans, config.good_scans))
         self.reason = ""
+        self.open_ahead = False  # nothing comes back from ahead, and what borders that moves: it is no cover
 
     def update(self, stamp_ns: int, seen: Evidence) -> str:
         """Why the sensor cannot see, "" when it can."""
@@ -90,8 +105,13 @@ class HealthMonitor:
             self.reason = ""
             self._history.clear()
         window = self._window(stamp_ns)
+        self.open_ahead = False
         if window and self._diagnose(window[:1]):
             self.reason = self._diagnose(window) or self.reason
+            half_rad = np.radians(self._fov_deg / 2)
+            self.open_ahead = not self.reason and moves_apart(
+                sum(window[1:], window[0]).bearings_rad, -half_rad, half_rad
+            )
         return self.reason
 
     def _healed(self) -> bool:
@@ -120,7 +140,11 @@ def diagnose(total: Evidence, scans: int, config: HealthSection, filters: Filter
     if measured == 0:
         return f"no measurement in the forward cone for {scans} scans: packets are lost"
     # A lone return now and then is a ghost; one in every fifth scan is a thin pole that the sensor does see.
-    if cone[RejectReason.USED] == 0 and cone[RejectReason.ISOLATED] < max(1.0, 0.2 * scans):
+    if cone[RejectReason.USED] == 0 and _returned(cone) < max(1.0, 0.2 * scans):
+        half_rad = np.radians(fov_deg / 2)
+        lens = int(cone[[RejectReason.NEAR, RejectReason.ECHO_ONLY, RejectReason.WEAK]].sum())
+        if not lens and moves_apart(total.bearings_rad, -half_rad, half_rad):
+            return ""
         return _blind(cone, total.ring, scans, config, filters)
     return _sectors(total, scans, config, fov_deg) or _dirty(cone, measured, scans, config, filters)
 
@@ -156,6 +180,7 @@ def _sectors(total: Evidence, scans: int, config: HealthSection, fov_deg: float)
 
     Light that ends at the lens proves a cover. Without light it may be a gap between two things, so the surroundings
     have to speak: nearly every other beam returns, and what flanks the dark part is so near that a gap would be narrow.
+    A gap that the vehicle drives at widens; a cover does not.
     """
     width_deg = fov_deg / config.sectors
     closed = _returned(total.ring) >= config.closed_ring_share * max(int(total.ring.sum()), 1)
@@ -169,7 +194,8 @@ def _sectors(total: Evidence, scans: int, config: HealthSection, fov_deg: float)
         if lit >= config.sector_share * measured:
             return f"partly blocked {where}: {_share(lit, measured)} of its beams end at the lens ({scans} scans)"
         flank_m = _flank_m(total, number + 1)
-        if closed and flank_m <= config.flank_m:
+        gap = moves_apart(total.bearings_rad, np.radians(right_deg), np.radians(right_deg + width_deg))
+        if closed and flank_m <= config.flank_m and not gap:
             return (
                 f"partly open or covered {where}: no return in {scans} scans, things on both sides of it within "
                 f"{flank_m:.1f} m, and {_share(_returned(total.ring), total.ring.sum())} of the beams around return"
@@ -177,9 +203,29 @@ def _sectors(total: Evidence, scans: int, config: HealthSection, fov_deg: float)
     return ""
 
 
+def moves_apart(bearings_rad: tuple[np.ndarray, ...], right_rad: float, left_rad: float) -> bool:
+    """Whether what borders a dark part on both sides moves away from it, from the first third of the scans to the last.
+
+    The vehicle drives at a gap, and its sides pass: parallax. What is on the lens turns with the lens.
+
+    Args:
+        bearings_rad: by scan, of all beams that are not dark.
+    """
+    third = len(bearings_rad) // 3
+    if third == 0:
+        return False
+    right = [float(one[one < right_rad].max(initial=-np.inf)) for one in bearings_rad]
+    left = [float(one[one > left_rad].min(initial=np.inf)) for one in bearings_rad]
+    ends = [float(np.median(side[part])) for side in (right, left) for part in (slice(third), slice(-third, None))]
+    first_right, last_right, first_left, last_left = ends
+    if not np.all(np.isfinite(ends)):
+        return False
+    return first_right - last_right >= PASSES_RAD and last_left - first_left >= PASSES_RAD
+
+
 def _flank_m(total: Evidence, place: int) -> float:
     """How far the farther of the two things on either side of a dark sector of the fan is; infinity = open there."""
-    came_back = total.fan[:, RejectReason.USED] + total.fan[:, RejectReason.ISOLATED]
+    came_back = total.fan[:, _CAME_BACK].sum(axis=1)
     lit = np.flatnonzero(came_back)
     right, left = lit[lit < place], lit[lit > place]
     if not len(right) or not len(left):
@@ -203,7 +249,7 @@ def _dirty(cone: np.ndarray, measured: int, scans: int, config: HealthSection, f
 
 
 def _returned(counts: np.ndarray) -> int:
-    return int(counts[RejectReason.USED] + counts[RejectReason.ISOLATED])
+    return int(counts[list(_CAME_BACK)].sum())
 
 
 def _share(part: float, whole: float) -> str:

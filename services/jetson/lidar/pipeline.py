@@ -13,11 +13,12 @@ from common.messages import LaserScan, Level, LidarZone, LidarZones, Motion, wor
 from common.path import Path, is_driving
 from services.jetson.lidar.config import LidarConfig, ZonesSection
 from services.jetson.lidar.filters import RejectReason, Returns, judge, returns_of
-from services.jetson.lidar.health import Evidence, HealthMonitor, could_see, covered_by_something_near, evidence
+from services.jetson.lidar.health import Evidence, HealthMonitor, could_see, covered_by_something_near, evidence, looked
 from services.jetson.lidar.lead import Lead
+from services.jetson.lidar.lines import Lines
 from services.jetson.lidar.movers import Movers
 from services.jetson.lidar.persistence import LanePersistence, Silence
-from services.jetson.lidar.way import along_the_way, cover_of, driven_m, layout_of, zones_for
+from services.jetson.lidar.way import CURVED_PER_M, along_the_way, cover_of, driven_m, layout_of, zones_for
 from services.jetson.lidar.zones import LANES, LaneScanner, Measured, level_of
 
 RATE_SMOOTHING = 0.2  # share of the newest scan in the published rate
@@ -32,7 +33,10 @@ class LidarPipeline:
     def __init__(self, config: LidarConfig) -> None:
         self._config = config
         self._lanes = [LanePersistence(config.persistence) for _ in LANES]
+        self._shown_per_m = [0.0 for _ in LANES]  # curvature of the way when a lane last showed something
+        self._levels: list[Level] = ["SAFE" for _ in LANES]
         self._scanner = LaneScanner(config.zones)
+        self._lines = Lines(config.zones, config.filter)
         self._movers = Movers(config)
         self._lead = Lead(config)
         self._lead_mps = 0.0
@@ -52,6 +56,7 @@ class LidarPipeline:
         # After a silence nothing is known: neither the old alarm nor its absence
         if self._silence.ended(stamp_ns):
             self._scanner.forget()
+            self._lines.forget()
             self._before = None
             for lane in self._lanes:
                 lane.forget()
@@ -65,26 +70,28 @@ class LidarPipeline:
 
         # Along the vehicle's way, and what was seen before has come nearer by as much as it has driven
         ahead = along_the_way(returns, config, motion)
+        path = Path(config.path, motion) if is_driving(motion, config.path) else None
         self._carry(stamp_ns, motion)
 
         # The nearest thing in each lane that enough returns vouch for, in this scan or over the last ones
-        measured = self._scanner.measure(ahead, reject_reason == RejectReason.USED, self._zones)
+        seen = evidence(returns, reject_reason, config.zones.fov_deg, config.health.sectors, _motor(scan))
+        measured = self._measure(ahead, reject_reason, seen, path)
 
         # Who drives ahead of us needs less room than what stands
         self._lead_mps = self._lead.update(stamp_ns, measured[LANES.index("centre")].nearest_m, motion)
         self._zones = zones_for(config, motion, self._lead_mps)
 
         # Could the last fifteen scans see, and could this one?
-        seen = evidence(returns, reject_reason, config.zones.fov_deg, config.health.sectors, _motor(scan))
         reason = self._health.update(stamp_ns, seen)
         may_clear = self._may_clear(seen, returns, degraded=bool(reason))
 
         reason = reason or self._silence.reason(may_clear or any(one.nearest_m is not None for one in measured))
 
         # Agree over several scans, in each lane and for each band
-        bands = self._bands()
-        agreed = zip(self._lanes, measured, bands, strict=True)
-        zones = [self._agree(lane, stamp_ns, one, may_clear, band) for lane, one, band in agreed]
+        zones = [
+            self._agree(number, stamp_ns, one, may_clear, path.curvature_per_m if path else 0.0)
+            for number, one in enumerate(measured)
+        ]
 
         # Who moves beside the way and will be in it
         used = reject_reason == RejectReason.USED
@@ -94,7 +101,6 @@ class LidarPipeline:
         self.reject_reason[returns.order] = reject_reason
         message = self._message(stamp_ns, scan, zones, measured, reason)
         message.motion, message.cover = motion, cover_of(returns, reject_reason, config, motion)
-        path = Path(config.path, motion) if is_driving(motion, config.path) else None
         message.layout = layout_of(self._zones, path)
         return message
 
@@ -110,6 +116,20 @@ class LidarPipeline:
             return centre
         return LidarZone(nearest_m=ahead_m, points=centre.points, level=level)
 
+    def _measure(self, ahead: Returns, reject_reason: np.ndarray, seen: Evidence, path: Path | None) -> list[Measured]:
+        """The lanes of this scan; on a straight way without lines whose CAUTION waits, beyond where it waits for."""
+        used = reject_reason == RejectReason.USED
+        if path is None or abs(path.curvature_per_m) > CURVED_PER_M or not self._config.zones.lines_wait:
+            self._lines.forget()
+        else:
+            free_m = self._lanes[LANES.index("centre")].agreed_m
+            if not looked(seen, ahead, self._config.zones.fov_deg, self._config.health):
+                free_m = 0.0
+            late = self._lines.late(ahead, used, free_m)
+            waits_m = self._zones.imminent_m + self._zones.curve_lead_s * path.motion.speed_mps
+            used = used & ~(late & (ahead.x_m > waits_m))
+        return self._scanner.measure(ahead, used, self._zones)
+
     def _carry(self, stamp_ns: int, motion: Motion | None) -> None:
         """What stands has come nearer by what was driven; what drives ahead in the lane, by so much less."""
         last_ns, self._carried_ns = self._carried_ns, stamp_ns
@@ -117,6 +137,7 @@ class LidarPipeline:
         nearer_m = driven_m(self._config, motion, dt_s)
         if nearer_m > 0.0:
             self._scanner.carry(nearer_m)
+            self._lines.carry(nearer_m)
             for name, lane in zip(LANES, self._lanes, strict=True):
                 left_m = self._lead_mps * dt_s if name == "centre" else 0.0
                 lane.carry(max(0.0, nearer_m - left_m))
@@ -126,16 +147,24 @@ class LidarPipeline:
         degraded; so covering the lens does not end an alarm, and an open field ends it after 1.5 s."""
         if could_see(seen, returns, self._config.zones.fov_deg, self._config.health):
             return True
-        return degraded and not covered_by_something_near(seen, self._config.health)
+        return (degraded or self._health.open_ahead) and not covered_by_something_near(seen, self._config.health)
 
     def _agree(
-        self, lane: LanePersistence, stamp_ns: int, measured: Measured, may_clear: bool, band: ZonesSection
+        self, number: int, stamp_ns: int, measured: Measured, may_clear: bool, curvature_per_m: float
     ) -> LidarZone:
         """The lane after persistence."""
+        lane, band = self._lanes[number], self._bands()[number]
         raw_m = math.inf if measured.nearest_m is None else measured.nearest_m
         if measured.nearest_m is not None or may_clear:
             lane.update(stamp_ns, raw_m)
         level = level_of(lane.agreed_m, band)
+        # What was agreed on may be in the way no longer, since the way has swung: its alarm may last but not grow
+        if measured.nearest_m is not None:
+            self._shown_per_m[number] = curvature_per_m
+        swung_m = 0.5 * abs(curvature_per_m - self._shown_per_m[number]) * min(lane.agreed_m, band.look_ahead_m) ** 2
+        if swung_m > band.centre_width_m and worst(level, self._levels[number]) == level:
+            level = self._levels[number]
+        self._levels[number] = level
         if math.isinf(lane.agreed_m):
             return LidarZone(nearest_m=None, points=0, level=level)
         # The freshest distance that does not contradict the level

@@ -27,6 +27,7 @@ COLOURS = {  # BGR
     RejectReason.BODY: (220, 160, 60),
     RejectReason.WEAK: (60, 180, 220),
     RejectReason.ISOLATED: (40, 40, 230),
+    RejectReason.GRAZING: (40, 140, 230),
     RejectReason.IGNORED: (60, 170, 60),
 }
 LEVEL_COLOURS = {"SAFE": (90, 160, 60), "CAUTION": (30, 150, 240), "IMMINENT": (50, 50, 220)}

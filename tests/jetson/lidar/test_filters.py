@@ -82,6 +82,27 @@ def test_ghosts_in_front_of_a_wall_do_not_spoil_the_wall(scan_of: Scan) -> None:
     assert np.count_nonzero(reject_reason == RejectReason.USED) == 450 - len(ghosts)
 
 
+@pytest.mark.parametrize("aside_m", [0.5, 0.8, 1.2])
+def test_a_flank_seen_at_a_flat_angle_is_no_rain(scan_of: Scan, aside_m: float) -> None:
+    """The side of a parked car, up to 5 m ahead: every return alone by its range, all on one line."""
+    scan = scan_of([], 9.0)
+    flank = np.flatnonzero((scan.angles_rad > np.arcsin(aside_m / 4.9)) & (scan.angles_rad < np.radians(20.0)))
+    noise = 0.01 * np.random.default_rng(2).standard_normal(len(flank))
+    scan.ranges_m[flank] = aside_m / np.sin(scan.angles_rad[flank]) + noise
+    reject_reason = reject_reasons(scan)
+    assert RejectReason.ISOLATED not in reject_reason[flank]
+    assert RejectReason.GRAZING in reject_reason[flank]
+
+
+def test_drops_lie_in_line_by_chance_only(scan_of: Scan) -> None:
+    rng, scan = np.random.default_rng(3), scan_of([], 9.0)
+    drops = rng.random(450) < 0.5
+    scan.ranges_m[drops] = rng.uniform(0.3, 4.9, drops.sum())
+    reject_reason = reject_reasons(scan)[drops]
+    assert np.mean(reject_reason == RejectReason.GRAZING) < 0.15
+    assert np.mean(reject_reason == RejectReason.ISOLATED) > 0.6
+
+
 def test_order_of_the_beams_does_not_matter(scan_of: Scan) -> None:
     scan = change(scan_of([(0.5, -0.1, 0.1)], 3.0), [100], 1.0)
     shuffle = np.random.default_rng(1).permutation(450)

@@ -114,6 +114,32 @@ def test_a_gate_in_a_yard_is_no_cover(scan_of: Scan) -> None:
     assert {zones.state for zones in play(scans)} == {"online"}
 
 
+@pytest.mark.parametrize(
+    ("flank_m", "tape_deg", "speed_mps", "online"),
+    [
+        (1.2, 0.0, 1.0, True),  # out of a passage into the open
+        (1.2, 0.0, 0.0, False),  # standing nobody can know
+        (1.2, 20.0, 1.0, False),  # a black tape over the cone: its edges stay
+    ],
+)
+def test_a_gap_that_is_driven_at_is_no_cover(
+    scan_of: Scan, flank_m: float, tape_deg: float, speed_mps: float, online: bool
+) -> None:
+    """Walls on both sides that end 3 m ahead, nothing beyond within the sensor's range."""
+    pipeline, states = LidarPipeline(LidarConfig()), []
+    for n in range(24):
+        scan, ends_m = scan_of([], 0.0, number=n), 3.0 - 0.1 * speed_mps * n
+        reach_m = flank_m / np.maximum(np.abs(np.sin(scan.angles_rad)), 1e-3)
+        hit = (reach_m * np.cos(scan.angles_rad) <= ends_m) & (reach_m < 11.0)
+        hit &= np.abs(scan.angles_rad) > np.radians(tape_deg)
+        scan.ranges_m[hit], scan.confidence[hit] = reach_m[hit], 200
+        if tape_deg:  # the walls do not end: what is dark is the tape
+            whole = (reach_m < 11.0) & (np.abs(scan.angles_rad) > np.radians(tape_deg))
+            scan.ranges_m[whole], scan.confidence[whole] = reach_m[whole], 200
+        states.append(pipeline.process(scan.stamp_ns, scan).state)
+    assert (set(states) == {"online"}) == online
+
+
 def test_what_a_partly_blocked_lidar_sees_keeps_its_right_to_alarm(scan_of: Scan) -> None:
     scans = [scan_of([], 3.0, number=n) for n in range(20)]
     scans += [scan_of([(0.5, -0.12, -0.02)], 3.0, number=20 + n) for n in range(6)]
