@@ -6,7 +6,7 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 
 from common.backoff import Backoff
 from common.bus.status import Report
@@ -82,27 +82,32 @@ def _device(url: SourceUrl, config: EgoConfig, report: Report) -> Device:
     return Imu(url, config)
 
 
-def measured(devices: Sequence[Device], config: EgoConfig, report: Report) -> Iterator[tuple[int, Motion]]:
+def measured(devices: Sequence[Device], config: EgoConfig, report: Report) -> Generator[tuple[int, Motion], None, None]:
     """What the devices say, combined at the configured rate. A lost device is tried again, and named meanwhile."""
     odometer = Odometer(config, [device.origin for device in devices])
     readers = [Reader(device) for device in devices]
-    for now_s in _ticks(1.0 / config.rate_hz):
+    try:
+        for now_s in _ticks(1.0 / config.rate_hz):
+            for reader in readers:
+                for one in reader.take():
+                    faults = odometer.take(one) if isinstance(one, Measurement) else [f"{one.origin} {one.what}"]
+                    for fault in faults:
+                        report.bad_input(fault)
+            lost = {reader.origin: reader.lost for reader in readers if reader.lost}
+            yield utc_at(now_s), odometer.motion(now_s, lost)
+    finally:
         for reader in readers:
-            for one in reader.take():
-                faults = odometer.take(one) if isinstance(one, Measurement) else [f"{one.origin} {one.what}"]
-                for fault in faults:
-                    report.bad_input(fault)
-        lost = {reader.origin: reader.lost for reader in readers if reader.lost}
-        yield utc_at(now_s), odometer.motion(now_s, lost)
+            reader.close()
 
 
 class Reader:
-    """Reads one device in a thread, for ever; ``lost`` is the reason while it is away."""
+    """Reads one device in a thread until ``close``; ``lost`` is the reason while it is away."""
 
     def __init__(self, device: Device) -> None:
         self.origin, self.lost = device.origin, ""
         self._device = device
         self._queue: queue.Queue[Measurement | Rejected] = queue.Queue(MAX_WAITING)
+        self._stop = threading.Event()
         threading.Thread(target=self._run, name=device.origin, daemon=True).start()
 
     def take(self) -> list[Measurement | Rejected]:
@@ -112,11 +117,17 @@ class Reader:
             taken.append(self._queue.get_nowait())
         return taken
 
+    def close(self) -> None:
+        """Leave the device with its next reading, and do not open it again."""
+        self._stop.set()
+
     def _run(self) -> None:
         backoff = Backoff(FIRST_PAUSE_S, LONGEST_PAUSE_S)
-        while True:
+        while not self._stop.is_set():
             try:
                 for one in self._device.readings():
+                    if self._stop.is_set():
+                        return
                     self.lost = ""
                     backoff.reset()
                     if not self._queue.full():
@@ -126,7 +137,7 @@ class Reader:
                 if str(error) != self.lost:
                     log.warning("%s", error)
                 self.lost = str(error)
-            time.sleep(backoff.next_s())
+            self._stop.wait(backoff.next_s())
 
 
 def _simulated(url: SourceUrl, period_s: float) -> Iterator[tuple[int, Motion]]:

@@ -42,10 +42,10 @@ class Watch:
         self._thread.start()
 
     def _run(self, device: Device) -> None:
-        for _, motion in measured([device], self._config, self.report):
-            self.motion = motion
-            if self._stop.is_set():
-                return
+        with contextlib.closing(measured([device], self._config, self.report)) as motions:
+            for _, self.motion in motions:
+                if self._stop.is_set():
+                    return
 
     def close(self) -> None:
         self._stop.set()
@@ -140,6 +140,14 @@ def test_a_vesc_is_asked_and_answers(watch: Any, until: Until) -> None:
         until(lambda: seen.counted("vesc no answer"), "no answer")
         assert seen.motion.speed_mps is None
         assert "silent" in seen.motion.reason
+
+
+def test_a_source_that_is_closed_leaves_its_device_alone(until: Until) -> None:
+    with Terminal(lines) as terminal:
+        motions = measured([SerialLines(parse_source(f"serial:{terminal.device}", SCHEMES))], EgoConfig(), Report("x"))
+        until(lambda: next(motions)[1].speed_mps is not None, "speed")
+        motions.close()
+        until(lambda: not any(thread.name == "serial" for thread in threading.enumerate()), "its thread has ended")
 
 
 def test_signals_on_a_virtual_can_bus(tmp_path: Path, watch: Any, until: Until) -> None:
