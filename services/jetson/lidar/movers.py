@@ -6,13 +6,16 @@ a Kalman filter (constant velocity), and held against the vehicle's way. Only wh
 known: the article's rules have no such thing.
 
 What stands seems to move where more of it comes into view; therefore only what is small, free on both sides and of the
-same size from scan to scan is followed, and only what has left its place counts as moving.
+same size from scan to scan is followed, and only what has left its place counts as moving. It seems to move, too, where
+a bend begins or ends: between two scans the vehicle has turned by something between what the old and the new yaw rate
+say. Half the difference is doubt, in every place by its distance.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from common.messages import Level, Motion
@@ -39,6 +42,7 @@ class Mover:
     born_m: np.ndarray  # (2, 2) where its ends were first, carried along
     ends_m: np.ndarray  # (2, 2) where they were seen last
     size_m: float
+    doubt_rad: float = 0.0  # of the vehicle's heading, summed up since it was born
     scans: int = 1
     misses: int = 0
     contact_s: float | None = None  # None = it passes, or is not known to move
@@ -52,6 +56,7 @@ class Movers:
         self._lidar = config
         self._movers: list[Mover] = []
         self._stamp_ns: int | None = None
+        self._motion: Motion | None = None  # at the scan before
         self._held: tuple[int, Level, float] = (0, "SAFE", 0.0)  # until when, level, metres ahead
 
     def update(self, stamp_ns: int, returns: Returns, used: np.ndarray, motion: Motion | None) -> tuple[Level, float]:
@@ -61,19 +66,21 @@ class Movers:
             used: (N,) bool, which of the returns are believed.
         """
         last_ns, self._stamp_ns = self._stamp_ns, stamp_ns
+        before, self._motion = self._motion, motion
         dt_s = 0.0 if last_ns is None else (stamp_ns - last_ns) * 1e-9
         if motion is None or not is_driving(motion, self._lidar.path):
             self._movers = []
             return "SAFE", 0.0
         if not 0.0 < dt_s <= self._lidar.persistence.max_gap_s:
             self._movers = []
-        self._predict(motion, dt_s)
+        self._predict(before or motion, motion, dt_s)
         self._associate(things_of(seen_now(returns, self._lidar, motion), returns, used, self._config))
         return self._judge(stamp_ns, Path(self._lidar.path, motion))
 
-    def _predict(self, motion: Motion, dt_s: float) -> None:
+    def _predict(self, before: Motion, now: Motion, dt_s: float) -> None:
         """Carry all on to this scan: they move over ground, and the vehicle with its axes has moved."""
-        turned, place = pose_after(motion, np.array([dt_s]))
+        turned, place = pose_after(_mean(before, now), np.array([dt_s]))
+        doubt_rad = 0.5 * abs(now.yaw_rate_radps - before.yaw_rate_radps) * dt_s
         cos, sin = float(np.cos(turned[0])), float(np.sin(turned[0]))
         turn = np.array([[cos, sin], [-sin, cos]])
         F, G = np.eye(4), np.vstack([0.5 * dt_s**2 * np.eye(2), dt_s * np.eye(2)])
@@ -85,6 +92,9 @@ class Movers:
             state[:2] -= place[:, 0]
             mover.state = R @ state
             mover.covariance = R @ (F @ mover.covariance @ F.T + Q) @ R.T
+            across_m = doubt_rad * np.array([-mover.state[1], mover.state[0]])
+            mover.covariance[:2, :2] += np.outer(across_m, across_m)
+            mover.doubt_rad += doubt_rad
             mover.born_m = (mover.born_m - place[:, 0]) @ turn.T
             mover.ends_m = (mover.ends_m - place[:, 0]) @ turn.T
 
@@ -108,7 +118,7 @@ class Movers:
     def _correct(self, mover: Mover, thing: Thing) -> None:
         mover.misses = 0
         if abs(thing.size_m - mover.size_m) > self._config.same_size_m:  # another part of it came into view
-            mover.born_m, mover.scans = thing.ends_m, 0
+            mover.born_m, mover.scans, mover.doubt_rad = thing.ends_m, 0, 0.0
             mover.state = np.array([*thing.place_m, 0.0, 0.0])
             mover.covariance[2:, 2:] = self._config.speed_sigma_mps**2 * np.eye(2)
             mover.covariance[:2, 2:] = mover.covariance[2:, :2] = 0.0
@@ -149,6 +159,7 @@ class Movers:
         middle_m = mover.ends_m.mean(axis=0) - mover.born_m.mean(axis=0)
         edge_m = _edge(mover.ends_m, path) - _edge(mover.born_m, path)
         left_m = min(float(np.linalg.norm(middle_m)), float(np.linalg.norm(edge_m)))
+        left_m -= mover.doubt_rad * float(np.linalg.norm(mover.state[:2]))
         return mover.scans >= config.scans and speed >= max(config.slowest_mps, sigma) and left_m >= config.left_m
 
     def _comes(self, mover: Mover, path: Path) -> bool:
@@ -165,6 +176,14 @@ class Movers:
         covariance[:2, :2] += (0.5 * mover.size_m / config.sigmas) ** 2 * np.eye(2)  # it is no point
         point = MovingPoint(mover.state[:2], mover.state[2:], covariance)
         return path.time_to_contact_s(point, config.horizon_s, config.sigmas)
+
+
+def _mean(before: Motion, now: Motion) -> Motion:
+    """The motion between two scans."""
+    speed_mps = 0.5 * (before.speed_mps + now.speed_mps)
+    return msgspec.structs.replace(
+        now, speed_mps=speed_mps, yaw_rate_radps=0.5 * (before.yaw_rate_radps + now.yaw_rate_radps)
+    )
 
 
 def _edge(ends_m: np.ndarray, path: Path) -> np.ndarray:

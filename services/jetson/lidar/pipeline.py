@@ -117,7 +117,7 @@ class LidarPipeline:
         return LidarZone(nearest_m=ahead_m, points=centre.points, level=level)
 
     def _measure(self, ahead: Returns, reject_reason: np.ndarray, seen: Evidence, path: Path | None) -> list[Measured]:
-        """The lanes of this scan; on a straight way without lines whose CAUTION waits, beyond where it waits for."""
+        """The lanes of this scan. On a straight way a line whose CAUTION waits counts only once it is near enough."""
         used = reject_reason == RejectReason.USED
         if path is None or abs(path.curvature_per_m) > CURVED_PER_M or not self._config.zones.lines_wait:
             self._lines.forget()
@@ -158,7 +158,8 @@ class LidarPipeline:
         if measured.nearest_m is not None or may_clear:
             lane.update(stamp_ns, raw_m)
         level = level_of(lane.agreed_m, band)
-        # What was agreed on may be in the way no longer, since the way has swung: its alarm may last but not grow
+        # Once the way has swung away from what was agreed on, its distance is no longer one along the way: the alarm
+        # lasts until scans clear it, but does not grow
         if measured.nearest_m is not None:
             self._shown_per_m[number] = curvature_per_m
         swung_m = 0.5 * abs(curvature_per_m - self._shown_per_m[number]) * min(lane.agreed_m, band.look_ahead_m) ** 2

@@ -15,7 +15,7 @@ from spotter_sim import ld06
 from spotter_sim.model import Scenario
 from spotter_sim.odometry import measure
 from spotter_tools.prove.dangers import cyclist_crossing, pedestrian_crossing
-from spotter_tools.prove.innocents import gate, oncoming, overtaken, parked_rows, pillars
+from spotter_tools.prove.innocents import gate, oncoming, overtaken, parked_rows, pillars, yard
 from spotter_tools.prove.places import MEETS_S
 
 CONFIG = LidarConfig(mounting=MountingSection(front_m=0.1))
@@ -62,6 +62,13 @@ def test_without_known_motion_only_what_is_in_a_lane_counts():
 def test_who_passes_beside_and_what_stands_does_not(case):
     said = levels(case.scenario, MEETS_S - 4.0, MEETS_S + 0.5)
     assert len(said) > 30
+    assert set(said.values()) == {"SAFE"}
+
+
+@pytest.mark.parametrize(("number", "bend_ends_s"), [(0, 5.6), (1, 5.6), (2, 12.8)])
+def test_where_a_bend_ends_what_stands_beside_the_way_does_not_move(number, bend_ends_s):
+    said = levels(yard(3.0, number).scenario, bend_ends_s - 0.8, bend_ends_s + 0.8)
+    assert len(said) > 12
     assert set(said.values()) == {"SAFE"}
 
 
