@@ -127,7 +127,7 @@ class Way:
                 course.straight_s = _first_contact_s(Path(path.config, path.motion.straight()), points, settings)
             ahead, beside = path.locate(np.array([point.position_m for point in points]))
             sigma_m = np.sqrt([point.covariance[1, 1] for point in points] + path.spread_m(ahead) ** 2)
-            inside = path.contains(ahead, beside, settings.sigmas * sigma_m)
+            inside = path.contains(ahead, beside, np.minimum(settings.sigmas * sigma_m, settings.widest_m))
             course.in_corridor = bool(inside.any())
             course.ahead_m = float(ahead[inside].min() if course.in_corridor else ahead.min())
             # What is only carried on is no vote: neither an echo that failed to come, nor a contact of earlier frames

@@ -221,3 +221,16 @@ def test_an_echo_that_failed_to_come_puts_nothing_on_the_way() -> None:
         told.append(way.level(track))
     assert track.meeting.likely.contact_s is not None  # carried on as the last echo has it, it would come
     assert set(told) == {"SAFE"}
+
+
+def test_a_bearing_hardly_known_from_afar_is_no_place_in_the_way() -> None:
+    """An oncoming car that a cart will pass with 0.6 m of air: in its first frames its place is known to 1 m."""
+    way, own_mps, closing_mps, beside_m = Way(configs_of("cart").radar), 4.0, 6.0, 1.12
+    track = Track(np.zeros(3), np.eye(3), snr_db=25.0, has_azimuth=True, approaching=True)
+    for frame in range(6):
+        x = 11.7 - frame * closing_mps * PERIOD_S
+        range_m, bearing_rad = float(np.hypot(x, beside_m)), float(np.arctan2(beside_m, x))
+        track.measured = track.state = np.array([range_m, -closing_mps * x / range_m, bearing_rad])
+        way.update(round(frame * PERIOD_S * 1e9), [track], Motion(own_mps))
+        assert track.meeting is not None
+        assert not track.meeting.likely.on_way
