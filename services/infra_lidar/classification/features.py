@@ -28,9 +28,11 @@ _OWN = (
     "slice_length_0", "slice_length_1", "slice_length_2", "slice_length_3", "slice_length_4",
     "slice_width_0", "slice_width_2", "slice_width_4", "ground_gap_ratio",
 )  # fmt: skip
-FROM_RANGE = ("range_m", "points_by_range", "depth_scatter", "depth_extent")
+FROM_RANGE = ("depth_scatter", "depth_extent")
+_OF_THE_SENSOR = ("num_points", "density", "range_m", "points_by_range")  # beams and spacing decide them, not the body
 _BANDS = tuple(name for name in BAND_NAMES if name not in FROM_RANGE)
-_SHAPE = (*ARTICLE_19, "cross_section_mean", "z_range_cleaned", *(n for n in _OWN if n not in FROM_RANGE), *_BANDS)
+_ALL = (*ARTICLE_19, "cross_section_mean", "z_range_cleaned", *_OWN, *_BANDS)
+_SHAPE = tuple(name for name in _ALL if name not in _OF_THE_SENSOR)
 
 FEATURE_SETS: dict[str, tuple[str, ...]] = {
     "spotter": (*_SHAPE, *FROM_RANGE),

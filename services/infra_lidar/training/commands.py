@@ -21,7 +21,7 @@ TRAIN_SEED, TEST_SEED = 1000, 5000  # scenes from here on; never the same
 Folder = Annotated[
     Path | None, typer.Argument(metavar="DIR", help="{train,test}/<class>/*.bin; without it generated scenes are used.")
 ]
-Scenes = Annotated[int, typer.Option("--scenes", min=2, help="Generated roadside scenes.")]
+Scenes = Annotated[int, typer.Option("--scenes", min=2, help="Generated roadside scenes; to train, twice as many.")]
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -34,21 +34,22 @@ def add_commands(app: typer.Typer) -> None:
 def train(
     folder: Folder = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="The model file.")] = Path("forest.npz"),
-    scenes: Scenes = 136,
-    bodies: Annotated[int, typer.Option("--bodies", min=0, help="Single generated bodies per class besides.")] = 3000,
+    scenes: Scenes = 40,
+    bodies: Annotated[int, typer.Option("--bodies", min=0, help="Single generated bodies per class besides.")] = 700,
     trees: Annotated[int, typer.Option("--trees", min=1)] = 48,
     leaves: Annotated[int, typer.Option("--leaves", min=2, help="Of a tree, at the most.")] = 1000,
 ) -> None:
     """Train a forest from labelled clusters, or from generated scenes, and store it as plain arrays."""
     setup_logging("infra_lidar")
     _needs_train()
-    from services.infra_lidar.training.train import ForestSettings, train_forest, training_set
+    from services.infra_lidar.training.train import BACKGROUND_WEIGHT, ForestSettings, train_forest, training_set
 
     if not output.parent.is_dir():
         raise ConfigError(f"--output {output}: no folder {output.parent}")
     clusters, weight, story = training_set(folder, scenes, bodies, TRAIN_SEED)
     log.info("training on %d clusters", len(clusters))
-    settings = ForestSettings(trees, max_leaves=leaves, balanced=bool(folder))
+    background = 1.0 if folder else BACKGROUND_WEIGHT
+    settings = ForestSettings(trees, max_leaves=leaves, background=background, balanced=bool(folder))
     features = "shape" if folder else "spotter"  # clusters in files are centred: they have no distance to the sensor
     forest = train_forest(clusters, features, story, settings, tell=_say, weight=weight)
     try:

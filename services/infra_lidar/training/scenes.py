@@ -71,15 +71,21 @@ def scene_frames(
     """Frames of one scene, calibrated on the first of them; ``resolution`` is columns a revolution and ring step."""
     monitor = CalibrationMonitor(steps.calibration, None)
     for t_s in times_s:
-        view = _thinned(scan(scenario, t_s, resolution[0]), resolution[1])
-        found = steps.clusters(view.xyz, monitor.update(view.xyz).T_level_sensor)
-        road_z_m = steps.ground.road_height(found.box[:, 0], found.box[:, 1])
-        yield SceneFrame(view, found, np.asarray(road_z_m), *_truth(view, found))
+        view = scan(scenario, t_s, resolution[0])
+        view = view if resolution[1] == 1 else those(view, view.ring % resolution[1] == 0)
+        yield cut(view, steps, monitor.update(view.xyz).T_level_sensor)
 
 
-def _thinned(view: Scan, ring_step: int) -> Scan:
-    keep = view.ring % ring_step == 0
-    return view if ring_step == 1 else Scan(*(getattr(view, name)[keep] for name in Scan.__dataclass_fields__))
+def those(view: Scan, keep: np.ndarray) -> Scan:
+    """The returns with ``keep`` (N,) bool."""
+    return Scan(*(getattr(view, name)[keep] for name in Scan.__dataclass_fields__))
+
+
+def cut(view: Scan, steps: Steps, T_level_sensor: np.ndarray) -> SceneFrame:
+    """The geometric steps on one turn, with its calibration."""
+    found = steps.clusters(view.xyz, T_level_sensor)
+    road_z_m = steps.ground.road_height(found.box[:, 0], found.box[:, 1])
+    return SceneFrame(view, found, np.asarray(road_z_m), *_truth(view, found))
 
 
 def _truth(view: Scan, found: ClusterPoints) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -97,19 +103,28 @@ def scene_clusters(
     kinds: tuple[RoadsideKind, ...] = ("open", "level", "facade", "trees"), frames: int = 4,
 ) -> LabelledClusters:  # fmt: skip
     """Clusters of one scene per seed, kinds and densities alternating; the group of a cluster is its scene."""
+
+    def of_seeds() -> Iterator[tuple[int, SceneFrame]]:
+        times_s = np.linspace(0.5, LENGTH_S - 0.5, frames)
+        for n, seed in enumerate(seeds):
+            scenario = roadside(seed, objects[n % len(objects)], kinds[n % len(kinds)])
+            resolution = RESOLUTIONS[(n // len(kinds)) % len(RESOLUTIONS)]
+            yield from ((seed, frame) for frame in scene_frames(scenario, times_s, steps, resolution))
+
+    return pure_clusters(of_seeds())
+
+
+def pure_clusters(frames: Iterable[tuple[int, SceneFrame]]) -> LabelledClusters:
+    """The clusters of frames, each with its group, that are of one thing for the most part."""
     clusters: list[np.ndarray] = []
     ground: list[float] = []
     labels: list[int] = []
     groups: list[int] = []
-    for n, seed in enumerate(seeds):
-        times_s = np.linspace(0.5, LENGTH_S - 0.5, frames)
-        scenario = roadside(seed, objects[n % len(objects)], kinds[n % len(kinds)])
-        resolution = RESOLUTIONS[(n // len(kinds)) % len(RESOLUTIONS)]
-        for frame in scene_frames(scenario, times_s, steps, resolution):
-            offsets = frame.clusters.offsets
-            for k in np.flatnonzero(frame.purity >= PURE):
-                clusters.append(frame.clusters.points[offsets[k] : offsets[k + 1]])
-                ground.append(float(frame.road_z_m[k]))
-                labels.append(int(frame.labels[k]))
-                groups.append(seed)
+    for group, frame in frames:
+        offsets = frame.clusters.offsets
+        for k in np.flatnonzero(frame.purity >= PURE):
+            clusters.append(frame.clusters.points[offsets[k] : offsets[k + 1]])
+            ground.append(float(frame.road_z_m[k]))
+            labels.append(int(frame.labels[k]))
+            groups.append(group)
     return collect(clusters, ground, labels, groups)

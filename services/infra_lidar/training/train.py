@@ -15,7 +15,7 @@ from sklearn.ensemble import RandomForestClassifier
 from sklearn.isotonic import IsotonicRegression
 from sklearn.model_selection import GroupKFold
 
-from services.infra_lidar.classification.classes import CLASSES
+from services.infra_lidar.classification.classes import BACKGROUND, CLASSES
 from services.infra_lidar.classification.features import FEATURE_SETS, compute_features
 from services.infra_lidar.classification.forest import Forest
 from services.infra_lidar.config import InfraLidarConfig
@@ -27,9 +27,13 @@ from services.infra_lidar.training.folders import expect_classes, read_part
 from services.infra_lidar.training.held_out import held_out_table
 from services.infra_lidar.training.scenes import Steps, scene_clusters
 from services.infra_lidar.training.varied import generated_clusters
+from services.infra_lidar.training.varied_streets import varied_street_clusters
 
-BODY_WEIGHT = 0.4  # of a single body against a cluster of a street: bodies are many and of no street's shares
+BODY_WEIGHT = 0.6  # of a single body against a cluster of a street: bodies are of no street's shares
+BACKGROUND_WEIGHT = 0.5  # whole frames are two thirds background; most of it is subtracted once the scene is learned
+VARIED_SEED = 29_000  # added for streets of varied bodies: no two streets have one plan
 _BACKGROUND = 2  # generated fixtures per body of any class: the street has more kinds of things than of road users
+_FRAMES, _VIEWS = 2, 3  # of a street and of one with varied bodies
 
 
 def training_set(
@@ -40,13 +44,15 @@ def training_set(
         clusters = read_part(folder, "train")
         expect_classes(clusters, folder / "train")
         return clusters, np.ones(len(clusters)), {"source": "labelled clusters", "folder": folder.name}
-    parts = [scene_clusters(range(seed, seed + scenes), Steps.of(InfraLidarConfig()), frames=3)]
-    if bodies:
-        parts.append(generated_clusters(seed, bodies, background=_BACKGROUND))
-    story = {"source": "generated roadside scenes and single bodies", "scenes": [seed, seed + scenes - 1]}
-    weight = np.where(np.arange(sum(map(len, parts))) < len(parts[0]), 1.0, BODY_WEIGHT)
-    made = {"bodies_per_class": bodies, "body_weight": BODY_WEIGHT, "frames_per_scene": 3}
-    return join_clusters(parts), weight, story | made
+    steps, varied = Steps.of(InfraLidarConfig()), range(seed + VARIED_SEED, seed + VARIED_SEED + scenes)
+    streets = [scene_clusters(range(seed, seed + scenes), steps, frames=_FRAMES)]
+    streets.append(varied_street_clusters(varied, steps, _VIEWS))
+    parts = [*streets, generated_clusters(seed, bodies, background=_BACKGROUND)] if bodies else streets
+    clusters = join_clusters(parts)
+    weight = np.where(np.arange(len(clusters)) < sum(map(len, streets)), 1.0, BODY_WEIGHT)
+    story = {"source": "generated roadside scenes, streets of varied bodies and single bodies"}
+    made = {"seed": seed, "scenes": scenes, "bodies": bodies}
+    return clusters, weight, {**story, **made, "body_weight": BODY_WEIGHT}
 
 
 def test_set(folder: Path | None, scenes: int, seed: int) -> LabelledClusters:
@@ -68,6 +74,7 @@ class ForestSettings:
     min_leaf: int = 4
     max_leaves: int = 1000
     seed: int = 42
+    background: float = 1.0  # weight of background in the calibration
     balanced: bool = True  # classes weigh the same in the trees; the calibration undoes it in the probabilities
 
 
@@ -77,6 +84,8 @@ def train_forest(
 ) -> Forest:  # fmt: skip
     """Fit on all clusters, each of ``weight`` (K,); calibrate with predictions for groups that were left out.
 
+    The trees learn with these weights. The calibration counts background ``settings.background`` times: probabilities
+    follow from the shares of the classes, and where the forest will stand those are not the training's.
     ``tell`` gets the lines of ``held_out_table``.
     """
     names = FEATURE_SETS[feature_set]
@@ -91,12 +100,14 @@ def train_forest(
         return model.fit(x[rows], clusters.labels[rows], None if weight is None else weight[rows])
 
     held_out = out_of_group_shares(fit, x, clusters)
-    curve_x, curve_y = calibrate(held_out, clusters.labels)
+    expected = np.where(clusters.labels == BACKGROUND, settings.background, 1.0)
+    curve_x, curve_y = calibrate(held_out, clusters.labels, expected if weight is None else expected * weight)
     if tell is not None:
         for line in held_out_table(held_out, curve_x, curve_y, clusters):
             tell(line)
     counts = {name: int(np.sum(clusters.labels == c)) for c, name in enumerate(CLASSES)}
-    made = {"feature_set": feature_set, "clusters": counts, "trees": settings.trees, "seed": settings.seed}
+    made = {"feature_set": feature_set, "clusters": counts, "trees": settings.trees, "forest_seed": settings.seed}
+    made["background_weight"] = settings.background
     return flatten(fit(np.arange(len(x))), names, curve_x, curve_y, {**provenance, **made})
 
 
@@ -112,13 +123,16 @@ def out_of_group_shares(fit: Any, x: np.ndarray, clusters: LabelledClusters, fol
     return shares
 
 
-def calibrate(shares: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def calibrate(
+    shares: np.ndarray, labels: np.ndarray, weight: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Per class a rising curve from forest share to frequency, (C, B) each; the identity where a class is missing."""
     grid = np.linspace(0.0, 1.0, CALIBRATION_POINTS)
     curves = np.tile(grid, (len(CLASSES), 1))
     for c in range(len(CLASSES)):
         if np.any(labels == c) and np.any(labels != c):
-            line = IsotonicRegression(y_min=0.0, y_max=1.0, out_of_bounds="clip").fit(shares[:, c], labels == c)
+            line = IsotonicRegression(y_min=0.0, y_max=1.0, out_of_bounds="clip")
+            line.fit(shares[:, c], labels == c, weight)
             curves[c] = line.predict(grid)
     return np.tile(grid, (len(CLASSES), 1)).astype(np.float32), curves.astype(np.float32)
 

@@ -18,7 +18,8 @@ from services.infra_lidar.training.varied_vehicles import car, large_vehicle
 from spotter_sim.raycast import cast
 from spotter_sim.solids import PARTS, Solids
 
-_MAKERS = {"car": car, "large_vehicle": large_vehicle, "cyclist": rider, "pedestrian": person}
+MAKERS = {"car": car, "large_vehicle": large_vehicle, "cyclist": rider, "pedestrian": person}
+"""A body of each class, drawn at random."""
 _LEAVES, _CLEAR, _GLASS = (PARTS.index(name) for name in ("leaves", "clear", "glass"))
 _ANIMAL_SHARE = 0.02  # they are of no class: each is labelled by lot, which teaches the forest to be unsure
 _ANIMAL_LABELS = [CLASSES.index(name) for name in ("background", "cyclist", "pedestrian")]
@@ -48,7 +49,7 @@ def generated_clusters(seed: int, per_class: int, min_points: int = 10, backgrou
 def _draw(rng: np.random.Generator, name: str, label: int) -> tuple[Solids, float, int]:
     """A body of the class, how high it hangs (m), and its label."""
     if name != "background":
-        return _MAKERS[name](rng), 0.0, label
+        return MAKERS[name](rng), 0.0, label
     if rng.random() < _ANIMAL_SHARE:
         return animal(rng, rng.uniform(0.3, 1.7)), 0.0, int(rng.choice(_ANIMAL_LABELS))
     return furniture(rng), rng.uniform(0.3, 4.0) if rng.random() < 0.12 else 0.0, label

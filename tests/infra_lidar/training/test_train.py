@@ -103,6 +103,8 @@ def test_calibration_turns_shares_into_frequencies() -> None:
     assert np.interp(0.8, grid[1], curves[1]) == pytest.approx(0.5, abs=0.02)
     assert np.all(np.diff(curves, axis=1) >= 0)
     np.testing.assert_allclose(curves[3], grid[3])  # no example: left as it is
+    _, rarer = calibrate(shares, labels, np.where(labels == 1, 0.25, 1.0))
+    assert np.interp(0.8, grid[1], rarer[1]) == pytest.approx(0.2, abs=0.02)  # one in five where it will stand
 
 
 def test_a_folder_in_the_articles_layout(tmp_path: Path) -> None:
