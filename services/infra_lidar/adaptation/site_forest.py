@@ -17,13 +17,18 @@ from services.infra_lidar.classification.forest import Forest
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.training.clusters import LabelledClusters
 from services.infra_lidar.training.scenes import Steps, scene_clusters
-from services.infra_lidar.training.train import BODY_WEIGHT, calibrate, flatten
-from services.infra_lidar.training.varied import generated_clusters
+from services.infra_lidar.training.train import (
+    BACKGROUND_WEIGHT,
+    calibrate,
+    expected_weight,
+    flatten,
+    generated_set,
+)
 
 FEATURES = FEATURE_NAMES  # of every example: whatever the forest in use asks for
 _GROWN = FEATURE_SETS["spotter"]
 _COLUMNS = [FEATURES.index(name) for name in _GROWN]
-SEED, STREETS, BODIES = 3000, 40, 700  # generated streets from this seed on, and bodies per class
+SEED, STREETS, BODIES = 3000, 40, 700  # generated streets from this seed on, twice as many, and bodies per class
 UNSEEN_SEED, UNSEEN_STREETS = 6000, 6  # streets that no forest was grown from: nothing may be forgotten there
 TREES, LEAVES, MIN_LEAF = 48, 1000, 4
 GROUP_WEIGHT = 4.0  # clusters of a street that one road user or place of the site is worth, at the most
@@ -41,15 +46,13 @@ class Examples(NamedTuple):
 
 def generated_examples(config: InfraLidarConfig) -> Examples:
     """Streets and bodies of all classes, made with this site's settings of ground and clusters."""
-    streets = scene_clusters(range(SEED, SEED + STREETS), Steps.of(config), frames=2)
-    bodies = generated_clusters(SEED, BODIES, background=2)
-    return join(_examples(streets, 1.0), _examples(bodies, BODY_WEIGHT))
+    return _examples(*generated_set(Steps.of(config), STREETS, BODIES, SEED))
 
 
 def unseen_examples(config: InfraLidarConfig) -> Examples:
     """Streets of other seeds, to see what is forgotten."""
     streets = scene_clusters(range(UNSEEN_SEED, UNSEEN_SEED + UNSEEN_STREETS), Steps.of(config), frames=1)
-    return _examples(streets, 1.0)
+    return _examples(streets, np.ones(len(streets)))
 
 
 def site_examples(record: SiteRecord, labels: SiteLabels) -> Examples:
@@ -77,7 +80,8 @@ def grow(examples: Examples, story: dict[str, Any]) -> Forest:
     for inside, outside in GroupKFold(FOLDS).split(x, groups=examples.groups):
         model = fit(inside)
         shares[np.ix_(outside, model.classes_)] = model.predict_proba(x[outside])
-    curve_x, curve_y = calibrate(shares, examples.labels)
+    expected = expected_weight(examples.labels, examples.weight, BACKGROUND_WEIGHT)
+    curve_x, curve_y = calibrate(shares, examples.labels, expected)
     return flatten(fit(np.arange(len(x))), _GROWN, curve_x, curve_y, story)
 
 
@@ -88,6 +92,6 @@ def join(first: Examples, second: Examples) -> Examples:
     return Examples(*pairs)._replace(groups=groups)
 
 
-def _examples(clusters: LabelledClusters, weight: float) -> Examples:
+def _examples(clusters: LabelledClusters, weight: np.ndarray) -> Examples:
     x = compute_features(clusters.points, clusters.offsets, clusters.ground_z_m, FEATURES)
-    return Examples(x, clusters.labels, clusters.groups, np.full(len(x), weight))
+    return Examples(x, clusters.labels, clusters.groups, weight)

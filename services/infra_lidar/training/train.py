@@ -44,15 +44,20 @@ def training_set(
         clusters = read_part(folder, "train")
         expect_classes(clusters, folder / "train")
         return clusters, np.ones(len(clusters)), {"source": "labelled clusters", "folder": folder.name}
-    steps, varied = Steps.of(InfraLidarConfig()), range(seed + VARIED_SEED, seed + VARIED_SEED + scenes)
+    clusters, weight = generated_set(Steps.of(InfraLidarConfig()), scenes, bodies, seed)
+    story = {"source": "generated roadside scenes, streets of varied bodies and single bodies"}
+    made = {"seed": seed, "scenes": scenes, "bodies": bodies}
+    return clusters, weight, {**story, **made, "body_weight": BODY_WEIGHT}
+
+
+def generated_set(steps: Steps, scenes: int, bodies: int, seed: int) -> tuple[LabelledClusters, np.ndarray]:
+    """Clusters of ``scenes`` streets, of as many with varied bodies and of single bodies; the weight of each (K,)."""
+    varied = range(seed + VARIED_SEED, seed + VARIED_SEED + scenes)
     streets = [scene_clusters(range(seed, seed + scenes), steps, frames=_FRAMES)]
     streets.append(varied_street_clusters(varied, steps, _VIEWS))
     parts = [*streets, generated_clusters(seed, bodies, background=_BACKGROUND)] if bodies else streets
     clusters = join_clusters(parts)
-    weight = np.where(np.arange(len(clusters)) < sum(map(len, streets)), 1.0, BODY_WEIGHT)
-    story = {"source": "generated roadside scenes, streets of varied bodies and single bodies"}
-    made = {"seed": seed, "scenes": scenes, "bodies": bodies}
-    return clusters, weight, {**story, **made, "body_weight": BODY_WEIGHT}
+    return clusters, np.where(np.arange(len(clusters)) < sum(map(len, streets)), 1.0, BODY_WEIGHT)
 
 
 def test_set(folder: Path | None, scenes: int, seed: int) -> LabelledClusters:
@@ -84,8 +89,6 @@ def train_forest(
 ) -> Forest:  # fmt: skip
     """Fit on all clusters, each of ``weight`` (K,); calibrate with predictions for groups that were left out.
 
-    The trees learn with these weights. The calibration counts background ``settings.background`` times: probabilities
-    follow from the shares of the classes, and where the forest will stand those are not the training's.
     ``tell`` gets the lines of ``held_out_table``.
     """
     names = FEATURE_SETS[feature_set]
@@ -100,8 +103,8 @@ def train_forest(
         return model.fit(x[rows], clusters.labels[rows], None if weight is None else weight[rows])
 
     held_out = out_of_group_shares(fit, x, clusters)
-    expected = np.where(clusters.labels == BACKGROUND, settings.background, 1.0)
-    curve_x, curve_y = calibrate(held_out, clusters.labels, expected if weight is None else expected * weight)
+    expected = expected_weight(clusters.labels, weight, settings.background)
+    curve_x, curve_y = calibrate(held_out, clusters.labels, expected)
     if tell is not None:
         for line in held_out_table(held_out, curve_x, curve_y, clusters):
             tell(line)
@@ -121,6 +124,14 @@ def out_of_group_shares(fit: Any, x: np.ndarray, clusters: LabelledClusters, fol
         model = fit(inside)
         shares[np.ix_(outside, model.classes_)] = model.predict_proba(x[outside])
     return shares
+
+
+def expected_weight(labels: np.ndarray, weight: np.ndarray | None, background: float) -> np.ndarray:
+    """(K,) weight of each cluster in the calibration: background counts ``background`` times what it does in the trees.
+
+    Probabilities follow from the shares of the classes, and where the forest will stand those are not the training's.
+    """
+    return np.where(labels == BACKGROUND, background, 1.0) * (1.0 if weight is None else weight)
 
 
 def calibrate(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import subprocess
 import sys
@@ -183,6 +184,19 @@ def test_the_shipped_model_says_where_it_comes_from() -> None:
     assert set(forest.features) <= {name for names in FEATURE_SETS.values() for name in names}
     assert {"feature_set", "clusters", "trees", "seed"} <= forest.provenance.keys()
     json.dumps(forest.provenance)
+
+
+def test_the_shipped_model_is_made_with_the_defaults_of_train() -> None:
+    pytest.importorskip("sklearn", reason="needs the train extra")
+    from services.infra_lidar.training.commands import TRAIN_SEED, train
+    from services.infra_lidar.training.train import BACKGROUND_WEIGHT, BODY_WEIGHT, ForestSettings
+
+    forest, default = load_forest(SHIPPED_MODEL), inspect.signature(train).parameters
+    made = {name: default[name].default for name in ("scenes", "bodies", "trees")}
+    made |= {"seed": TRAIN_SEED, "forest_seed": ForestSettings().seed, "feature_set": "spotter"}
+    made |= {"body_weight": BODY_WEIGHT, "background_weight": BACKGROUND_WEIGHT}
+    assert {name: forest.provenance.get(name) for name in made} == made
+    assert forest.features == FEATURE_SETS["spotter"]
 
 
 def test_the_shipped_model_knows_bodies_it_has_not_seen() -> None:
