@@ -37,7 +37,7 @@ from services.infra_lidar.segmentation.ground import Ground
 from services.infra_lidar.training.clusters import join_clusters
 from services.infra_lidar.training.evaluate import evaluate_forest
 from services.infra_lidar.training.scenes import Steps, scene_clusters
-from services.infra_lidar.training.train import train_forest
+from services.infra_lidar.training.train import ForestSettings, train_forest
 
 KINDS = ("open", "level", "facade", "trees")
 BESIDE_THE_POLE = ("slope", "bus", "crowd")
@@ -187,7 +187,7 @@ def classes() -> None:
     learnt = join_clusters([scene_clusters(TRAINING_SEEDS, steps, frames=2) for steps in designs.values()])
     tests = {name: scene_clusters(TEST_SEEDS, steps, frames=2) for name, steps in designs.items()}
     for features in ("23", "spotter"):
-        forest = train_forest(learnt, features, {})
+        forest = train_forest(learnt, features, {}, ForestSettings())
         for name, test in tests.items():
             result = evaluate_forest(forest, test)
             each = ", ".join(f"{label} {f1:.3f}" for label, f1 in zip(CLASSES, result.f1, strict=True))
