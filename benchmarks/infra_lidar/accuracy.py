@@ -186,12 +186,11 @@ def classes() -> None:
     designs = {"ours": Steps.of(InfraLidarConfig()), "article": article_steps()}
     learnt = join_clusters([scene_clusters(TRAINING_SEEDS, steps, frames=2) for steps in designs.values()])
     tests = {name: scene_clusters(TEST_SEEDS, steps, frames=2) for name, steps in designs.items()}
-    for features in ("23", "spotter"):
-        forest = train_forest(learnt, features, {}, ForestSettings())
-        for name, test in tests.items():
-            result = evaluate_forest(forest, test)
-            each = ", ".join(f"{label} {f1:.3f}" for label, f1 in zip(CLASSES, result.f1, strict=True))
-            print(f"  features {features:8} {name:8} macro F1 {result.macro_f1:.3f} ({each}; {len(test)} clusters)")
+    forest = train_forest(learnt, "spotter", {}, ForestSettings())
+    for name, test in tests.items():
+        result = evaluate_forest(forest, test)
+        each = ", ".join(f"{label} {f1:.3f}" for label, f1 in zip(CLASSES, result.f1, strict=True))
+        print(f"  {name:8} macro F1 {result.macro_f1:.3f} ({each}; {len(test)} clusters)")
 
 
 def boxes() -> None:
