@@ -121,7 +121,7 @@ class PersistenceSection(Section, frozen=True, kw_only=True):
 class MoversSection(Section, frozen=True, kw_only=True):
     """What moves beside the way while the vehicle drives, and whether it will be in it."""
 
-    range_m: Positive = 9.5
+    range_m: Positive = 7.0
     points: Annotated[int, Meta(ge=1, le=1000)] = 2
     join_m: Positive = 0.40
     size_m: Positive = 2.0

@@ -74,8 +74,10 @@ class Movers:
         if not 0.0 < dt_s <= self._lidar.persistence.max_gap_s:
             self._movers = []
         self._predict(before or motion, motion, dt_s)
-        self._associate(things_of(seen_now(returns, self._lidar, motion), returns, used, self._config))
-        return self._judge(stamp_ns, Path(self._lidar.path, motion))
+        path, turn_s = Path(self._lidar.path, motion), len(returns.order) / self._lidar.scan.sample_rate_hz
+        near = used & (returns.range_m <= reach_m(path, turn_s, self._config))
+        self._associate(things_of(seen_now(returns, self._lidar, motion), returns, near, used, self._config))
+        return self._judge(stamp_ns, path)
 
     def _predict(self, before: Motion, now: Motion, dt_s: float) -> None:
         """Carry all on to this scan: they move over ground, and the vehicle with its axes has moved."""
@@ -137,7 +139,7 @@ class Movers:
             mover.contact_s = self._contact_s(mover, path) if comes else None
             if mover.contact_s is not None and (soonest is None or mover.contact_s < soonest[0]):
                 soonest = mover.contact_s, max(0.0, float(mover.state[0]) - path.config.front_m)
-        imminent_s = max(config.imminent_s, path.stopping_m / path.motion.speed_mps)
+        imminent_s = due_s(path, config)
         level: Level = "SAFE"
         if soonest is not None:
             late = soonest[0] >= imminent_s
@@ -197,9 +199,24 @@ def seen_now(returns: Returns, config: LidarConfig, motion: Motion) -> np.ndarra
     return carried(np.column_stack([returns.x_m + config.path.front_m, returns.y_m]), motion, age_s)
 
 
-def things_of(points_m: np.ndarray, returns: Returns, used: np.ndarray, config: MoversSection) -> list[Thing]:
-    """Small things with free air on both sides, from returns in counter-clockwise order."""
-    kept = np.flatnonzero(used & (returns.range_m <= config.range_m))
+def due_s(path: Path, config: MoversSection) -> float:
+    """How long before the contact of a vehicle that drives IMMINENT is due: never less than a stop takes."""
+    return max(config.imminent_s, path.stopping_m / path.motion.speed_mps)
+
+
+def reach_m(path: Path, turn_s: float, config: MoversSection) -> float:
+    """How far away things are followed: from so far that IMMINENT is said when it is due.
+
+    Before that come the turns in which nothing is said yet, and one more: the body shows up somewhere within a turn.
+    """
+    return max(config.range_m, path.motion.speed_mps * (due_s(path, config) + (config.scans + 1) * turn_s))
+
+
+def things_of(
+    points_m: np.ndarray, returns: Returns, near: np.ndarray, used: np.ndarray, config: MoversSection
+) -> list[Thing]:
+    """Small things with free air on both sides, from returns in counter-clockwise order; (N,) bool: near enough."""
+    kept = np.flatnonzero(near)
     if len(kept) < config.points:
         return []
     apart = np.linalg.norm(np.diff(points_m[kept], axis=0), axis=1) > config.join_m

@@ -7,9 +7,10 @@ import pytest
 
 from common.bus.status import Report
 from common.messages import Motion
+from common.path import Path, PathConfig
 from services.jetson.lidar.config import LidarConfig, MountingSection
 from services.jetson.lidar.decoder import ScanDecoder
-from services.jetson.lidar.movers import Movers
+from services.jetson.lidar.movers import Movers, reach_m
 from services.jetson.lidar.pipeline import LidarPipeline
 from spotter_sim import ld06
 from spotter_sim.model import Scenario
@@ -87,3 +88,17 @@ def test_a_gap_in_the_scans_forgets_who_was_followed():
     scan.stamp_ns += 2_000_000_000
     pipeline.process(scan.stamp_ns, scan, Motion(2.0))
     assert max(mover.scans for mover in movers._movers) == 1
+
+
+@pytest.mark.parametrize(
+    ("speed_mps", "brake_mps2", "expected_m"),
+    [
+        (2.0, 3.0, 7.0),  # the setting is more than enough
+        (3.5, 3.0, 7.0),  # 1.5 s and five turns of 0.1 s
+        (5.5, 4.0, 11.0),
+        (5.5, 1.0, 20.725),  # a stop takes longer than 1.5 s: 17.975 m, and five turns
+    ],
+)
+def test_things_are_followed_from_so_far_that_imminent_comes_when_it_is_due(speed_mps, brake_mps2, expected_m):
+    path = Path(PathConfig(brake_mps2=brake_mps2), Motion(speed_mps))
+    assert reach_m(path, 0.1, CONFIG.movers) == pytest.approx(expected_m)
