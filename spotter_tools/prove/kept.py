@@ -13,6 +13,7 @@ KEPT = (
     "car stopped, 2 m/s, +0 m",
     "pedestrian from near, 50 %, 2 m/s",
     "pedestrian from far, 50 %, 3 m/s",
+    "pedestrian from far, 25 %, 5.5 m/s, cart, rain",
     "child behind a parked car, 2 m/s",
     "cyclist from near, 3 m/s",
     "low box, 3 m/s",
