@@ -45,7 +45,7 @@ def test_what_an_ignored_sector_hides_is_uncovered_with_its_reason(new_bench: Ca
     assert verdict is not None
     assert (verdict.level, verdict.rule) == ("CAUTION", "V1-uncovered")  # no other sensor covers it
     assert verdict.covered_m == pytest.approx(0.6, abs=0.11)  # the bracket's shadow lies on the way from there
-    assert "lidar: 20 % of the view is behind own parts (filter.ignore)" in verdict.uncovered[0].why
+    assert "LiDAR: 20 % of the view is behind own parts (filter.ignore)" in verdict.uncovered[0].why
 
 
 def test_without_the_sector_the_bracket_is_an_obstacle() -> None:
