@@ -26,8 +26,8 @@ from services.jetson.camera.training import calibrate
 def run(config: CameraConfig) -> bool:
     """Publish detections of each picture until the source or the process ends; False if not closed cleanly."""
     configured, config = config, fitted(config)
-    open_source(config, Report("camera"))  # a wrong source stops here, before a router is waited for
     pipeline = CameraPipeline(config)
+    open_source(config, Report("camera"))  # a wrong source stops here, before a router is waited for
     with Service("camera", config) as service:
         publish, publish_image = service.publisher(CAMERA_DETECTIONS), service.publisher(CAMERA_IMAGE)
         service.report.count("classes without a size", len(pipeline.unsized))

@@ -175,7 +175,7 @@ def test_a_degraded_sensor_shows_since_when_and_why(browser: Any, fusion: Fusion
     assert "degraded since" in row
     assert "lens blocked: 40 scans" in row
     browser.wait(
-        "document.querySelector('#clocks tr') && document.querySelector('#clocks tr').innerText.includes('+1.20 ms')"
+        "document.querySelector('#clocks tr') && document.querySelector('#clocks tr').innerText.includes('-10.25 ms')"
     )
 
 
