@@ -70,6 +70,7 @@ def load(config_type: type[C], path: Path | None = None, overrides: Iterable[str
         key, value = _parse_override(override)
         _refuse_unknown(config_type, _nest(key, value), "--set")
         _assign(document, key, value)
+    if overrides:  # together: two keys that need each other may come in either order
         config = _convert(config_type, document, "--set")
     if isinstance(config, ServiceConfig):
         try:

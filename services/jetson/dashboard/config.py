@@ -32,7 +32,8 @@ class DashboardConfig(ServiceConfig, frozen=True, kw_only=True):
     server: ServerConfig = ServerConfig()
     map: MapOrigin | None = None  # where the map lies on the Earth, for /api/tracks.geojson; `spotter up` fills it in
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Nobody on the network may look without a token."""
         loopback = self.server.address in ("127.0.0.1", "::1", "localhost")
         if not loopback and not self.server.token:
             raise ValueError(

@@ -53,3 +53,13 @@ def test_the_place_of_the_map_stands_in_the_file_as_a_comment(tmp_path: Path) ->
 def test_a_wrong_value_is_refused_by_name(setting: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         load(DashboardConfig, None, [setting])
+
+
+@pytest.mark.parametrize("given", [(), ("server.address=0.0.0.0",)], ids=["in the file", "before its token"])
+def test_a_token_may_come_after_the_address_that_needs_it(tmp_path: Path, given: tuple[str, ...]) -> None:
+    """A file names the address and `--set` the secret; or both are set, in either order."""
+    path = tmp_path / "dashboard.toml"
+    path.write_text("" if given else '[server]\naddress = "0.0.0.0"\n')
+    assert load(DashboardConfig, path, [*given, "server.token=sesame"]).server.token == "sesame"
+    with pytest.raises(ConfigError, match="set \\[server\\] token"):
+        load(DashboardConfig, path, given)
