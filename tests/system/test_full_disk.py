@@ -28,6 +28,9 @@ from common.recording.reader import read_metadata
 from services.infra_lidar.calibration.plane_fit import Calibration
 from services.infra_lidar.calibration.store import Store
 from services.infra_lidar.segmentation.background import BackgroundModel
+from services.jetson.fusion.evidence import FusionMemory
+from services.jetson.fusion.store import Saved
+from services.jetson.fusion.store import Store as FusionStore
 
 ARRAYS = {"intervals_m": np.zeros((12, 4), np.float32), "is_road": np.zeros(12, bool)}
 BACKGROUND = BackgroundModel(columns=4, rows=3, background_ratio=0.5, surface=np.zeros((1, 1, 3), np.float32), **ARRAYS)
@@ -109,6 +112,22 @@ def test_a_full_disk_below_the_state_folder_is_in_the_log_once(
     assert caplog.messages == [f"{tmp_path}: File too large; not kept, the next start learns anew"]
     assert list(tmp_path.iterdir()) == []
     assert Store(str(tmp_path)).load() == (None, None)
+
+
+def test_alarms_that_cannot_be_kept_are_in_the_log_once_and_kept_again_afterwards(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    store, saved = FusionStore(str(tmp_path), "spotter", "jetson0"), Saved(1, 1.0, 0.0, FusionMemory())
+    file_size_limit(os.getpid(), 10)
+    try:
+        for _ in range(3):
+            store.write(saved)
+    finally:
+        file_size_limit(os.getpid(), -1)
+    assert caplog.messages == [f"{tmp_path}: File too large; alarms would not survive a restart"]
+    assert list(tmp_path.iterdir()) == []  # nor half of them
+    store.write(saved)
+    assert store.load() == saved
 
 
 @pytest.mark.parametrize(

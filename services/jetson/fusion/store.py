@@ -6,6 +6,7 @@ when it was written, and when that was in UTC.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import threading
@@ -71,6 +72,7 @@ class Store:
         self._due = Periodic(PERIOD_S)
         self._kept: object = None
         self._next: Saved | None = None
+        self._failing = False
         self._wake = threading.Event()
         if self._path is not None:
             threading.Thread(target=self._write_forever, name="store", daemon=True).start()
@@ -105,10 +107,18 @@ class Store:
     def write(self, saved: Saved) -> None:
         """Never half a file; a full or read-only disk is said once in the log and costs the memory, not the verdict."""
         assert self._path is not None
+        part = self._path.with_suffix(f".{os.getpid()}.tmp")  # a swap runs two of us for a moment
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            part = self._path.with_suffix(f".{os.getpid()}.tmp")  # a swap runs two of us for a moment
             part.write_bytes(msgspec.json.encode(saved))
             part.replace(self._path)
         except OSError as error:
-            log.warning("claims would not survive a restart: %s", error)
+            with contextlib.suppress(OSError):
+                part.unlink()
+            if not self._failing:
+                log.warning("%s: %s; alarms would not survive a restart", self._path.parent, error.strerror)
+            self._failing = True
+        else:
+            if self._failing:
+                log.info("%s: written again, alarms survive a restart", self._path.parent)
+            self._failing = False
