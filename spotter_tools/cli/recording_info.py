@@ -41,7 +41,7 @@ def describe(path: Path) -> dict[str, Any]:
         "duration_s": round((last_ns - first_ns) / 1e9, 3),
         "complete": is_complete(path),
         "services": {
-            name: {key: values[key] for key in ("version", "source", "source_kind") if values.get(key)}
+            name: {key: values[key] for key in ("vehicle", "version", "source", "source_kind") if values.get(key)}
             for name, values in metadata.items()
             if "instance" in values
         },

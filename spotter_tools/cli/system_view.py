@@ -138,8 +138,8 @@ class Observer:
 
     def overview(self) -> Overview:
         """Everything as of now."""
-        now_s = monotonic_s()
         with self._lock:
+            now_s = monotonic_s()  # in here: a message that comes while we wait would be younger than now
             fusions = self._fusions or {"": FusionWatch(self._started_s)}
             return Overview(
                 fusions=[fusions[host].view(host, self._vehicles.get(host, ""), now_s) for host in sorted(fusions)],

@@ -15,7 +15,7 @@ import zenoh
 
 from common import topics
 from common.bus.session import close_session, open_session, undeclare
-from common.clock import utc_ns
+from common.clock import WRONG_CLOCK_S, clock_words, utc_ns
 from common.codec import DecodeError, decode, encoding_of
 from common.config import ConfigError, ZenohConfig
 from common.host.site import Site
@@ -168,7 +168,10 @@ def _clock(session: zenoh.Session, host: str, service: str) -> Iterator[Finding]
     offset_ms = (there_ns - (asked_ns + back_ns) / 2) * 1e-6
     bound_ms = (back_ns - asked_ns) * 0.5e-6
     offset = f"{offset_ms:+.1f} ms from ours, within {bound_ms:.1f} ms"
-    if abs(offset_ms) - bound_ms > CLOCK_LIMIT_MS:
+    if abs(offset_ms) > WRONG_CLOCK_S * 1e3:
+        words = clock_words(host, offset_ms / 1e3)
+        yield broken(f"clock {host}/{service}", f"{words}, as seen from here", "set the clock that is wrong (chrony)")
+    elif abs(offset_ms) - bound_ms > CLOCK_LIMIT_MS:
         yield broken(f"clock {host}/{service}", offset, "synchronise both hosts: chrony or PTP")
     else:
         yield ok(f"clock {host}/{service}", offset)

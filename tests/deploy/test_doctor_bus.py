@@ -162,19 +162,27 @@ def test_a_schema_that_does_not_match(open_site: Site, client: zenoh.Session, pa
         assert grades(check_bus(open_site, "pi0"))["schema pi0/radar/tracks"] == "broken"
 
 
-def test_a_clock_that_is_off(open_site: Site, client: zenoh.Session, router_endpoint: str) -> None:
-    def in_five_seconds(query: zenoh.Query) -> bytes:
-        then_ns = time.time_ns() + 5_000_000_000
+@pytest.mark.parametrize(
+    ("offset_s", "told"),
+    [(5.0, "+"), (-56 * 365.25 * 86400.0, "clock of pi0 is 56 years behind")],
+    ids=["five seconds", "1970"],
+)
+def test_a_clock_that_is_off(
+    open_site: Site, client: zenoh.Session, router_endpoint: str, offset_s: float, told: str
+) -> None:
+    def by_that_clock(query: zenoh.Query) -> bytes:
+        then_ns = time.time_ns() + int(offset_s * 1e9)
         asked_ns = int.from_bytes(query.payload.to_bytes(), "little")
         return encode(ClockReply(stamp_ns=asked_ns, frame_id="", request_received_ns=then_ns, reply_sent_ns=then_ns))
 
-    kept = answering(client, "pi0/radar/clock", in_five_seconds)
+    kept = answering(client, "pi0/radar/clock", by_that_clock)
     info = ServiceInfo(
         stamp_ns=1, frame_id="", service="radar", host="pi0", instance="1", version="x", config_hash="x", topics=[],
         started_ns=1, pid=1,
     )  # fmt: skip
     also = answering(client, "pi0/radar/info", lambda query: encode(info))
-    assert grades(check_bus(open_site, "pi0"))["clock pi0/radar"] == "broken"
+    (found,) = [one for one in check_bus(open_site, "pi0") if one.check == "clock pi0/radar"]
+    assert (found.grade, found.what.startswith(told)) == ("broken", True), found
     kept.undeclare()
     also.undeclare()
 

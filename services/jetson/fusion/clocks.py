@@ -14,15 +14,6 @@ from services.jetson.fusion.config import ClocksConfig
 from services.jetson.fusion.dating import SenderClock
 
 STEP_READING_ERROR_S = 0.002  # UTC and monotonic clock are read one after the other, before and after a step
-WRONG_CLOCK_S = 3600.0  # no network holds a message back this long: the sender's clock is wrong
-_UNITS = ((365.25 * 86400.0, "year"), (86400.0, "day"), (3600.0, "hour"), (60.0, "minute"), (1.0, "second"))
-
-
-def clock_words(host: str, offset_s: float) -> str:
-    """``clock of pi0 is 56 years behind``; ``offset_s`` is their clock minus ours."""
-    size_s, unit = next((one for one in _UNITS if abs(offset_s) >= one[0]), _UNITS[-1])
-    count = round(abs(offset_s) / size_s)
-    return f"clock of {host} is {count} {unit}{'' if count == 1 else 's'} {'behind' if offset_s < 0 else 'ahead'}"
 
 
 class ClockSample(NamedTuple):

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import NamedTuple, cast
 
 from common.bus.pubsub import Received
+from common.clock import WRONG_CLOCK_S, clock_words
 from common.messages import LinkFault, Message, SensorHealth, SensorState, ServiceStatus, SourceKind
 from common.topics import Topic, spoken, status_topic
-from services.jetson.fusion.clocks import WRONG_CLOCK_S, clock_words
 from services.jetson.fusion.config import HealthConfig
 from services.jetson.fusion.dating import SAME_CLOCK, Age, SenderClock, age_of
 from services.jetson.fusion.evidence import SensorInput

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from common.clock import WRONG_CLOCK_S, clock_words
 from common.messages import SensorHealth, ServiceHealth, ServiceState, SystemHealth, least_live
 from common.topics import ONBOARD_SENSORS, spoken
 from services.jetson.fusion.bar import bar
-from services.jetson.fusion.clocks import WRONG_CLOCK_S, clock_words
 from services.jetson.fusion.config import FusionConfig
 from services.jetson.fusion.inbox import MAX_NAMES, Inbox
 from services.jetson.fusion.latency import LatencyBook

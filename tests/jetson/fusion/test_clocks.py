@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.jetson.fusion.clocks import ClockSample, ClockWatch, OwnClock, clock_words, measure
+from common.clock import clock_words
+from services.jetson.fusion.clocks import ClockSample, ClockWatch, OwnClock, measure
 from services.jetson.fusion.config import ClocksConfig
 from services.jetson.fusion.dating import SenderClock
 
