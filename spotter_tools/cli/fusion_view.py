@@ -10,6 +10,7 @@ from collections import deque
 
 import msgspec
 
+from common.clock import WRONG_CLOCK_S
 from common.messages import SensorState, SourceKind, SystemHealth, Verdict
 from common.topics import FUSION_VERDICT
 
@@ -66,8 +67,15 @@ class FusionWatch:
         for name, used in verdict.inputs.items():
             if used.stamp_ns and self._last_stamp_ns.get(name) != used.stamp_ns:
                 self._last_stamp_ns[name] = used.stamp_ns
-                recent = self._latencies_ms.setdefault(name, deque(maxlen=MAX_LATENCIES))
-                recent.append((now_s, (verdict.sent_ns - used.stamp_ns) / 1e6))
+                latency_ms = (verdict.sent_ns - used.stamp_ns) / 1e6 + self._clock_ahead_ms(name)
+                if abs(latency_ms) < WRONG_CLOCK_S * 1e3:  # else their clock is wrong, and not measured yet
+                    recent = self._latencies_ms.setdefault(name, deque(maxlen=MAX_LATENCIES))
+                    recent.append((now_s, latency_ms))
+
+    def _clock_ahead_ms(self, sensor: str) -> float:
+        """The sensor's clock minus fusion's, as fusion has measured it; 0 where it has not."""
+        clocks = self._health.clocks if self._health else {}
+        return next((one.offset_ms for name, one in clocks.items() if name.endswith(f"/{sensor}")), 0.0)
 
     def note_health(self, health: SystemHealth) -> None:
         self._health = health

@@ -1,7 +1,7 @@
 """What `spotter top` and `spotter metrics` show: services, topics, and what each fusion says, from the bus.
 
 The age of a topic is the time since its last message arrived here, on this machine's monotonic clock. Latency is from
-a measurement's stamp to the sending of the first verdict that used it; across hosts it is as good as their clocks are.
+a measurement's stamp to the sending of the first verdict that used it, by the clocks' offsets as fusion measures them.
 """
 
 from __future__ import annotations

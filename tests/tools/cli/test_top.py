@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from collections.abc import Callable
+from types import ModuleType
 
 import msgspec
 import pytest
@@ -14,9 +16,10 @@ from common.bus.runtime import Service
 from common.bus.status import Report
 from common.codec import encode
 from common.config import ServiceConfig, ZenohConfig
+from common.messages import ClockHealth
 from spotter_tools.cli.__main__ import app
 from spotter_tools.cli.connect import bus
-from spotter_tools.cli.fusion_view import quantile
+from spotter_tools.cli.fusion_view import FusionWatch, quantile
 from spotter_tools.cli.system_view import Observer, Overview
 
 pytestmark = pytest.mark.patient
@@ -129,6 +132,29 @@ def test_the_screen_shows_it_and_q_quits(speaking: str, until: Until) -> None:
 
         asyncio.run(use())
         observer.close()
+
+
+BEHIND_MS = -56 * 365.25 * 86400e3
+
+
+@pytest.mark.parametrize(
+    ("offset_ms", "measured", "latency_ms"),
+    [(0.0, False, 30.0), (-400.0, True, 30.0), (BEHIND_MS, True, 30.0), (BEHIND_MS, False, None)],
+    ids=["right", "a little behind", "1970", "1970, not measured yet"],
+)
+def test_a_sensor_s_wrong_clock_is_no_latency(
+    speakers: ModuleType, offset_ms: float, measured: bool, latency_ms: float | None
+) -> None:
+    watch, now_ns = FusionWatch(0.0), time.time_ns()
+    health, verdict = speakers.health(now_ns), speakers.verdict(now_ns)
+    if measured:
+        health.clocks["jetson0/lidar"] = ClockHealth(offset_ms=offset_ms, bound_ms=1.0, age_s=0.0, trusted=True)
+    verdict.inputs["lidar"].stamp_ns = now_ns + int(offset_ms * 1e6)
+    verdict.sent_ns = now_ns + 30_000_000
+    watch.note_health(health)
+    watch.note_verdict(verdict, 1.0)
+    shown = watch.view("jetson0", "", 1.0).sensors["lidar"].latency_p50_ms
+    assert shown == (None if latency_ms is None else pytest.approx(latency_ms, abs=0.01))
 
 
 def test_quantiles_are_ranks() -> None:
