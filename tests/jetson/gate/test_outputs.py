@@ -125,17 +125,23 @@ def test_without_a_second_line_slow_is_stop(tmp_path: Path) -> None:
     assert {value for _, _, value in lines_in(tmp_path / "lines")} == {0}
 
 
+def last_is(path: Path, value: int) -> bool:
+    """The enable line was set to this value last; the emulator's file begins empty."""
+    written = lines_in(path) if path.exists() else []
+    return bool(written) and written[-1][1:] == (17, value)
+
+
 def guarded(tmp_path: Path, until: Until) -> tuple[Any, Path]:
     """An output with a guard whose line is active."""
     path = tmp_path / "lines"
     output = output_of(f"gpio:emulator:{path}?enable=17&mode=level")
-    until(sending(output, GO, lambda: path.exists() and lines_in(path)[-1][1:] == (17, 1)), "the line is active")
+    until(sending(output, GO, lambda: last_is(path, 1)), "the line is active")
     return output, path
 
 
 def test_the_guard_lets_go_when_the_gate_is_silent(tmp_path: Path, until: Until) -> None:
     output, path = guarded(tmp_path, until)
-    until(lambda: lines_in(path)[-1][1:] == (17, 0), "inactive")
+    until(lambda: last_is(path, 0), "inactive")
     output.close()
 
 
@@ -143,11 +149,11 @@ def test_the_guard_lets_go_when_the_gate_is_silent(tmp_path: Path, until: Until)
 def test_a_guard_that_freezes_or_dies_loses_its_line(tmp_path: Path, until: Until, signum: int) -> None:
     output, path = guarded(tmp_path, until)
     os.kill(output._port.pid, signum)
-    until(sending(output, GO, lambda: lines_in(path)[-1][1:] == (17, 0)), "inactive")
+    until(sending(output, GO, lambda: last_is(path, 0)), "inactive")
     assert output.fault(monotonic_s())
-    until(sending(output, GO, lambda: lines_in(path)[-1][1:] == (17, 1)), "a new guard")
+    until(sending(output, GO, lambda: last_is(path, 1)), "a new guard")
     output.close()
-    assert lines_in(path)[-1][1:] == (17, 0)
+    assert last_is(path, 0)
 
 
 def test_libgpiod_is_asked_for_inactive_outputs(monkeypatch: pytest.MonkeyPatch) -> None:
