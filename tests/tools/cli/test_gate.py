@@ -50,7 +50,7 @@ def test_outcomes(finding: Finding, text: str, miss: bool) -> None:
 
 def test_the_trial_goes_through_all_steps(tmp_path: Path) -> None:
     with EmulatedActuator() as actuator:
-        arguments = ["try", "--output", f"serial:{actuator.device}", "--yes", "--json", "--seconds", "0.3"]
+        arguments = ["try", "--output", f"serial:{actuator.device}", "--yes", "--json", "--seconds", "1"]
         done = CliRunner().invoke(app, arguments)
         assert actuator.permission == "STOP"
     findings = [json.loads(line) for line in done.stdout.splitlines()]
