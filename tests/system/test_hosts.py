@@ -148,13 +148,13 @@ def test_an_attack_from_everywhere_changes_nothing(site: Site) -> None:
     """The attack list against the running site: from the laptop, and from a Pi that was taken over."""
     begun_s = site.in_order()
     for host in ("laptop1", "pi0"):
-        attacked = site.lab.run(host, [sys.executable, ATTACKER, str(site.lab.folder), host])
+        # Its own processor time, which it would spend on another computer, is not the attack
+        attacked = site.lab.run(host, ["nice", "-n", "19", sys.executable, ATTACKER, str(site.lab.folder), host])
         assert attacked.returncode == 0, attacked.stderr
         got_in = [name for name, let_in in json.loads(attacked.stdout).items() if let_in]
         assert got_in == (["authorised"] if host == "laptop1" else [])
     ended_s = site.in_order()
-    wrong = set(Noticed.by(site.vehicle, (), begun_s, ended_s, ended_s).wrong)
-    assert wrong <= {"infra_lidar not online"}  # late: the attackers' programs run on its processor here
+    assert not Noticed.by(site.vehicle, (), begun_s, ended_s, ended_s).wrong
     said = {(v["level"], v["permission"], v["rule"]) for v in site.laptop.between(begun_s, ended_s) if is_verdict(v)}
     assert len(said) == 1
 
