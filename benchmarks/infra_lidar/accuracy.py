@@ -14,6 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.article.ablation import ablation
+from benchmarks.article.costly_features import ARTICLE_SETS
 from benchmarks.article.flat_ground import flat_surface
 from benchmarks.article.presets import ARTICLE_CLUSTERING, ARTICLE_GROUND
 from benchmarks.article.second_look import refine_clusters
@@ -191,6 +193,8 @@ def classes() -> None:
         result = evaluate_forest(forest, test)
         each = ", ".join(f"{label} {f1:.3f}" for label, f1 in zip(CLASSES, result.f1, strict=True))
         print(f"  {name:8} macro F1 {result.macro_f1:.3f} ({each}; {len(test)} clusters)")
+        (_, plain), *_ = ablation(learnt, test, {"23": ARTICLE_SETS["23"]})
+        print(f"  {'':8} macro F1 {plain.macro_f1:.3f} with the article's 23 features and its forest")
 
 
 def boxes() -> None:
