@@ -105,4 +105,5 @@ class Cover(msgspec.Struct, kw_only=True):
     far_m: list[NotNegative]  # how far it could have seen in each sector; 0 = not at all
     near_m: NotNegative = 0.0  # nearer than this it sees nothing
     standing: bool = True  # what stands too; False = only what moves over ground
+    only: Text = ""  # the obstacles it sees where it sees not all, such as "what crosses its plane"
     why: Text = ""  # the reason for a part in which it sees less than it should

@@ -156,6 +156,7 @@ class CameraDetection(msgspec.Struct, kw_only=True):
     truncated: bool  # the box touches the picture's edge: the distance is "at most"
     distance_sigma_m: NotNegative = 0.0
     nearest_m: NotNegative | None = None  # to the object's nearest side: what the level is judged by
+    seen_before: bool = True  # in a picture just before as well; while the vehicle drives no other box counts
 
 
 class CameraDetections(SensorMessage, kw_only=True):

@@ -12,7 +12,9 @@ from spotter_tools.cli.fail import needs_extra
 from spotter_tools.cli.top_tables import Row
 
 PARQUET_ROWS = 50_000  # rows a group: what is kept in memory
-BOOLEANS = {"confirmed", "suppressed", "blind", "approaching", "moving", "coasting", "in_zone", "truncated"}
+BOOLEANS = {
+    "confirmed", "suppressed", "blind", "approaching", "moving", "coasting", "in_zone", "truncated", "seen_before",
+}  # fmt: skip
 UNITS = ("_m", "_mps", "_rad", "_s", "_ms", "_db", "_px")
 
 

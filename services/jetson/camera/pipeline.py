@@ -14,6 +14,7 @@ from services.jetson.camera.detector import Boxes, BoxFinder, Detector
 from services.jetson.camera.distance import estimate, scaled, smallest
 from services.jetson.camera.health import ViewMonitor, measure, reduce
 from services.jetson.camera.parts import PartsMonitor
+from services.jetson.camera.repeats import Repeats
 from services.jetson.camera.upright import lens_of_upright
 from services.jetson.camera.zone import band, cover_of, in_forward_zone, shifted, way_column_px
 
@@ -23,7 +24,7 @@ MOST_NAMED = 10
 
 
 class CameraPipeline:
-    """Give it picture after picture. It remembers the last picture and the counts of the health check, no more."""
+    """Give it picture after picture. It remembers the last picture, its boxes, and the counts of the health check."""
 
     def __init__(self, config: CameraConfig, detector: BoxFinder | None = None) -> None:
         """``detector`` takes the place of the network that the configuration names."""
@@ -39,6 +40,7 @@ class CameraPipeline:
             )
         self._monitor = ViewMonitor(config.health)
         self._parts = PartsMonitor(config.health)
+        self._repeats = Repeats()
         self._found = np.zeros((0, 4))  # boxes in the picture before, as shares of its width and height
         self._previous: np.ndarray | None = None
 
@@ -65,12 +67,13 @@ class CameraPipeline:
         path = Path(self._config.path, motion) if is_driving(motion, self._config.path) else None
         lens = self._lens(image)
         detections = [] if view.blind else self._detect(image, lens, path, watch)
+        self._note_repeats(stamp_ns, detections, driving=path is not None)
 
         size = np.array([image.shape[1], image.shape[0]] * 2)
         self._found = np.array([one.box_xyxy_px for one in detections]).reshape(-1, 4) / size
 
         # The worst of what is ahead; None = nothing is ahead
-        levels = [detection.level for detection in detections if detection.in_zone]
+        levels = [detection.level for detection in detections if detection.in_zone and detection.seen_before]
         level: Level | None = worst(*levels) if levels else None
 
         return CameraDetections(
@@ -88,6 +91,11 @@ class CameraPipeline:
             cover=cover_of(self._config, lens, view.reason or (parts.reason if parts.blind_ahead else "")),
             strips_see=(False,) * len(parts.sees) if view.blind else parts.sees,
         )
+
+    def _note_repeats(self, stamp_ns: int, detections: list[CameraDetection], *, driving: bool) -> None:
+        boxes = np.array([detection.box_xyxy_px for detection in detections]).reshape(-1, 4)
+        for detection, seen in zip(detections, self._repeats.seen_before(stamp_ns, boxes), strict=True):
+            detection.seen_before = bool(seen) or not driving
 
     def _lens(self, image: np.ndarray) -> LensConfig:
         """The configured lens for pictures of this size."""

@@ -45,6 +45,7 @@ def cover_of(config: CameraConfig, lens: LensConfig, why: str) -> Cover:
         step_rad=2 * half_rad,
         far_m=[0.0 if why else config.zone.cover_far_m],
         near_m=0.3,
+        only="what its network knows",
         why=why,
     )
 

@@ -11,6 +11,9 @@ An alarm of a standing radar track is set aside when, at once,
 - it sees something on either side of the way, as far from the radar as the track;
 - and each of these may be the echo by its speed.
 
+Where the speed says that the track is beside the way by half its distance and more, nothing has to be seen there: what
+comes nearer so much more slowly is not ahead. It may be hidden from the lidar, as the wall behind parked cars is.
+
 A CAUTION about a standing track beyond what the lidar sees waits until it is near enough for both, if the lidar sees
 nothing in the way there, and the way free for ``EARLY_S`` longer than a stop needs.
 
@@ -35,6 +38,7 @@ from services.jetson.fusion.readings import track_sighting
 NEARER_M, FARTHER_M = 0.4, 0.7  # a track's range is that of a body's nearest part: what reflects is up to 0.6 m behind
 BESIDE_M = 0.1  # how well a place beside the way is known
 SHOWN_S = 0.5
+FAR_BESIDE = 0.5  # of its distance; it comes nearer 13 per cent more slowly than what is ahead
 EARLY_S = 0.75  # before it has to brake the vehicle sees it with both
 
 
@@ -48,11 +52,11 @@ class Dated(NamedTuple):
 
 
 class AbreastWatch:
-    """``set_aside`` with every verdict. Remembers for ``SHOWN_S`` which tracks were two things: a scan may miss one."""
+    """``set_aside`` with every verdict. Remembers for ``SHOWN_S`` which tracks are beside: a scan may miss one."""
 
     def __init__(self, config: PathConfig) -> None:
         self._config = config
-        self._shown_ns: dict[int, int] = {}  # by track: stamp of the radar message in which it was shown last
+        self._shown_ns: dict[int, int] = {}  # by track: stamp of the radar message in which that was shown last
 
     def set_aside(self, seen: Dated, motion: Motion | None) -> Abreast | None:
         """What is left of the radar's alarms, None = nothing is set aside.
@@ -72,7 +76,8 @@ class AbreastWatch:
         may_be = [track for track in alarms if track.beside_m is not None and track.range_m + FARTHER_M <= free_m]
         now_ns = seen.radar.stamp_ns
         self._shown_ns = {key: at_ns for key, at_ns in self._shown_ns.items() if now_ns - at_ns <= SHOWN_S * 1e9}
-        self._shown_ns |= {track.track_id: now_ns for track in may_be if _is_between(track, flanks)}
+        beside = [track for track in may_be if _is_far_beside(track) or _is_between(track, flanks)]
+        self._shown_ns |= {track.track_id: now_ns for track in beside}
         aside = [track for track in may_be if track.track_id in self._shown_ns]
         if free_m >= path.stopping_m + EARLY_S * motion.speed_mps:
             nearest_m = np.hypot(*(points[in_way] - [radar.x_m, radar.y_m]).T).min(initial=np.inf)
@@ -115,6 +120,11 @@ def _can_wait(track: RadarTrack, free_m: float, nearest_m: float) -> bool:
     """
     beyond = track.range_m + FARTHER_M > free_m
     return track.level == "CAUTION" and track.beside_m is not None and beyond and nearest_m > track.range_m + FARTHER_M
+
+
+def _is_far_beside(track: RadarTrack) -> bool:
+    """Its speed alone says so."""
+    return track.beside_m is not None and track.beside_m[0] >= FAR_BESIDE * track.range_m
 
 
 def _is_between(track: RadarTrack, flanks: np.ndarray) -> bool:

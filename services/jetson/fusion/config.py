@@ -62,6 +62,7 @@ class RulesConfig(Section, frozen=True, kw_only=True):
     length_m: Metres = 0.6  # the vehicle, rear to front: a place farther behind is left behind
     half_width_m: Metres = 0.4  # the vehicle and some room: a place farther beside is off the way
     abreast: bool = True  # driving: no alarm for one echo of two things beside a way that the lidar sees free (R10)
+    partial_mps: Annotated[float, Meta(gt=0.0, le=50.0)] = 1.0  # with no sensor that sees obstacles of every kind (V1)
     coverage: Literal["off", "report", "floor"] = "floor"  # what was not seen: unsaid, said, or at least CAUTION (V1)
 
 

@@ -4,11 +4,15 @@ Each sensor publishes its ``Cover``: sectors around its place and how far it cou
 the way that the vehicle needs to stop, cell by cell. A cell counts as seen when one online sensor could have seen an
 obstacle there; one that only sees what moves (a standing radar) covers nothing, since obstacles stand. The uncovered
 part that begins nearer than the stopping distance makes the verdict at least CAUTION (``V1-uncovered``), with the speed
-at which the vehicle would stop within what is covered. Pure.
+at which the vehicle would stop within what is covered.
+
+A lidar sees what crosses its plane and a camera what its network knows: a low box or a pane is neither. While no sensor
+that sees obstacles of every kind is online, the same rule holds above ``rules.partial_mps``. Pure.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
@@ -21,6 +25,7 @@ from common.topics import spoken
 CELL_M = 0.1  # along the way
 ACROSS = 5  # cells over its width
 REACH_M = 12.0  # nothing farther is asked for
+PARTIAL_ROOM = 1.1  # a vehicle that keeps to a speed is measured a little faster now and then
 NEAR_M = 0.6  # a cone from the bumper is narrower than the vehicle up to here
 
 
@@ -30,12 +35,15 @@ class Coverage(NamedTuple):
     way: WayAhead
     covered_m: float | None  # from the bumper, all cells up to there are seen; ``REACH_M`` at most
     uncovered: tuple[Uncovered, ...]  # up to the stopping distance, or to 3 m while less is needed
-    max_safe_speed_mps: float | None  # stops within ``covered_m``
+    max_safe_speed_mps: float | None  # stops within ``covered_m``, and no more than ``partial_mps`` where that counts
+    partial: str = ""  # which obstacles alone are seen; empty = every kind, or ``covered_m`` is None
+    too_fast: bool = False  # for seeing only these
 
     @property
     def falls_short(self) -> bool:
         """The vehicle drives, and would not stop within what is covered."""
-        return self.way.motion == "driving" and self.covered_m is not None and self.covered_m < self.way.stopping_m
+        short = self.covered_m is not None and self.covered_m < self.way.stopping_m
+        return self.way.motion == "driving" and (short or self.too_fast)
 
 
 def way_ahead(motion: Motion | None, config: PathConfig) -> tuple[Path, WayAhead]:
@@ -57,7 +65,11 @@ def way_ahead(motion: Motion | None, config: PathConfig) -> tuple[Path, WayAhead
 
 
 def cover_way(
-    motion: Motion | None, config: PathConfig, covers: Mapping[str, Cover | None], out: Mapping[str, str]
+    motion: Motion | None,
+    config: PathConfig,
+    covers: Mapping[str, Cover | None],
+    out: Mapping[str, str],
+    partial_mps: float = math.inf,
 ) -> Coverage:
     """Lay the sensors' covers over the way.
 
@@ -65,6 +77,7 @@ def cover_way(
         motion: of the vehicle, None = unknown.
         covers: by sensor, of those that are online; None = it does not say, and covers nothing.
         out: the states of the sensors that are not online, by name.
+        partial_mps: how fast to drive while only obstacles of some kinds are seen.
     """
     path, way = way_ahead(motion, config)
     if all(cover is None for cover in covers.values()):
@@ -82,7 +95,19 @@ def cover_way(
         Uncovered(from_m=round(begin * CELL_M, 2), to_m=round(end * CELL_M, 2), why=why_not(covers, out))
         for begin, end in runs(~needed)
     )
-    return Coverage(way, covered_m, gaps, round(safe_speed_mps(covered_m, config), 2))
+    partial = partial_sight(covers)
+    limit_mps = partial_mps if partial else math.inf
+    too_fast = motion is not None and motion.speed_mps > PARTIAL_ROOM * limit_mps
+    safe_mps = round(min(safe_speed_mps(covered_m, config), limit_mps), 2)
+    return Coverage(way, covered_m, gaps, safe_mps, partial, too_fast)
+
+
+def partial_sight(covers: Mapping[str, Cover | None]) -> str:
+    """What alone is seen, in words; empty while a sensor sees obstacles of every kind."""
+    looking = {name: cover for name, cover in covers.items() if cover is not None and cover.standing}
+    if not looking or any(not cover.only for cover in looking.values()):
+        return ""
+    return ", ".join(f"{spoken(name)} sees {cover.only}" for name, cover in looking.items())
 
 
 def strip(path: Path) -> np.ndarray:

@@ -117,8 +117,8 @@ def track_sighting(track: RadarTrack) -> Sighting:
 
 
 def read_camera(message: CameraDetections) -> Reading:
-    """The worst detection in the forward zone; what is beside it does not count."""
-    ahead = [detection for detection in message.detections if detection.in_zone]
+    """The worst detection in the forward zone; what is beside it, or a box of one picture alone, does not count."""
+    ahead = [detection for detection in message.detections if detection.in_zone and detection.seen_before]
     if not ahead:
         return Reading(message.state, message.reason, message.level)
     detection = _most_serious(ahead, lambda detection: (detection.level, near_end_m(detection)))

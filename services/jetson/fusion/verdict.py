@@ -214,6 +214,8 @@ def floors(inputs: FusionInputs, rules: RulesConfig) -> list[Demand]:
 
 def uncovered_words(coverage: Coverage) -> str:
     """Where nothing was seen and why, and at which speed it would not matter."""
+    if coverage.covered_m is None or coverage.covered_m >= coverage.way.stopping_m:
+        return f"low boxes and panes go unseen ({coverage.partial}); safe up to {coverage.max_safe_speed_mps:.1f} m/s"
     gap = coverage.uncovered[0]
     return (
         f"nobody sees the way beyond {coverage.covered_m:.1f} m ({gap.why}), and stopping takes "
@@ -258,7 +260,7 @@ def abreast_words(abreast: Abreast) -> str:
     """What was set aside, and why."""
     return (
         f"radar {abreast.aside_level} at {abreast.aside_m:.2f} m, but the LiDAR sees the way free there, and "
-        "what may be the echo on either side"
+        "by its speed the echo may be of what stands beside it"
     )
 
 

@@ -85,6 +85,7 @@ class ZonesSection(Section, frozen=True, kw_only=True):
     look_ahead_m: Positive = 3.0
     centre_width_m: Positive = 0.251
     side_width_m: Positive = 0.191
+    driving_side_m: Positive = 0.10
     imminent_m: Positive = 0.8
     caution_m: Positive = 1.8
     smallest_object_m: Positive = 0.06

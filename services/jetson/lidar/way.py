@@ -28,9 +28,10 @@ def zones_for(config: LidarConfig, motion: Motion | None, lead_mps: float = 0.0)
     Of the way to stop, what is ahead in the lane leaves its own free when it drives at ``lead_mps`` (``lead.py``), and
     it comes nearer by the difference of the speeds only.
 
-    Its width is that of the vehicle and the side margins. In a curve ``curve_lead_s`` counts instead.
+    Its width is that of the vehicle and the side margins. In a curve ``curve_lead_s`` counts instead. The side lanes
+    are narrower than for a vehicle that may swerve anywhere: whoever drives through a gate passes close to its posts.
 
-    Never less than configured. While driving the lanes alone decide what is ahead: an arc leaves the cone.
+    No band is less than configured. While driving the lanes alone decide what is ahead: an arc leaves the cone.
     """
     zones = config.zones
     if motion is None or not is_driving(motion, config.path):
@@ -46,6 +47,7 @@ def zones_for(config: LidarConfig, motion: Motion | None, lead_mps: float = 0.0)
         look_ahead_m=max(zones.look_ahead_m, caution_m + LEAD_KNOWN_S * motion.speed_mps),
         fov_deg=max(zones.fov_deg, 2 * zones.cover_half_deg),
         centre_width_m=max(zones.centre_width_m, config.path.width_m + 2 * config.path.side_margin_m),
+        side_width_m=min(zones.side_width_m, zones.driving_side_m),
     )
 
 
@@ -93,6 +95,7 @@ def cover_of(returns: Returns, reject_reason: np.ndarray, config: LidarConfig, m
         step_rad=2 * half_rad / count,
         far_m=[round(float(value), 2) for value in far_m],
         near_m=config.filter.min_range_m,
+        only="what crosses its plane",
         why=_why_hidden(float(np.mean((far_m == 0.0) & ~ignored)), float(np.mean((far_m == 0.0) & ignored))),
     )
 

@@ -61,6 +61,14 @@ def test_two_posts_that_the_lidar_sees_are_no_alarm() -> None:
     assert left_over(radar(track()), lidar(*GATE)) == Abreast("SAFE", (), "IMMINENT", 3.0)
 
 
+def test_what_comes_nearer_far_too_slowly_to_be_ahead_is_no_alarm() -> None:
+    """By its speed at least half of its distance beside: nothing has to be seen there. Nearer to the way it has."""
+    far, less = track(beside_m=(1.5, 1.8)), track(beside_m=(1.49, 1.8))
+    assert left_over(radar(far), lidar()) == Abreast("SAFE", (), "IMMINENT", 3.0)
+    assert left_over(radar(less), lidar()) is None
+    assert left_over(radar(far), lidar((2.0, 0.02))) is None  # something stands in the way
+
+
 COUNTS = {
     "nothing beside the way": (track(), lidar(), DRIVING),
     "one post alone": (track(), lidar(GATE[0]), DRIVING),
@@ -184,7 +192,7 @@ def test_the_verdict_says_what_was_set_aside() -> None:
     verdict = decided(Abreast("SAFE", (), "IMMINENT", 3.0))
     assert (verdict.level, verdict.rule) == ("SAFE", "R10-abreast")
     assert "IMMINENT at 3.00 m" in verdict.because
-    assert "either side" in verdict.because
+    assert "beside it" in verdict.because
     assert not verdict.inputs["radar"].used
 
 

@@ -161,6 +161,39 @@ def test_without_any_word_on_covers_nothing_is_said() -> None:
     assert decided(None).way is None
 
 
+PLANE, KNOWN = cone(20.0, 6.0, only="what crosses its plane"), cone(20.0, 6.0, only="what its network knows")
+
+
+@pytest.mark.parametrize(
+    ("speed_mps", "covers", "fast", "safe_mps"),
+    [
+        (2.0, (PLANE, KNOWN), True, 1.0),
+        (1.0, (PLANE, KNOWN), False, 1.0),
+        (2.0, (PLANE, cone(20.0, 6.0)), False, None),  # the radar sees obstacles of every kind
+        (2.0, (PLANE, cone(20.0, 6.0, standing=False)), True, 1.0),  # but not one that sees only what moves
+    ],
+)
+def test_while_some_obstacles_go_unseen_only_slow_driving_is_safe(
+    speed_mps: float, covers: tuple[Cover, ...], fast: bool, safe_mps: float | None
+) -> None:
+    named = dict(zip(("lidar", "camera"), covers, strict=True))
+    found = cover_way(Motion(speed_mps), PATH, named, {"radar": "disconnected"}, 1.0)
+    assert (found.too_fast, found.falls_short) == (fast, fast)
+    if safe_mps is not None:
+        assert found.max_safe_speed_mps == safe_mps
+    verdict = decided(found)
+    assert verdict.rule == ("V1-uncovered" if fast else "R0-clear")
+    if fast:
+        assert verdict.because.startswith("low boxes and panes go unseen (LiDAR sees what crosses its plane")
+        assert verdict.because.endswith("safe up to 1.0 m/s")
+
+
+def test_a_way_that_is_too_short_comes_before_what_goes_unseen() -> None:
+    short = cone(20.0, 1.05, only="what crosses its plane")
+    found = cover_way(Motion(2.0), PATH, {"lidar": short}, {}, 1.0)
+    assert decided(found).because.startswith("nobody sees the way beyond 1.0 m")
+
+
 @pytest.mark.parametrize(
     ("x_m", "y_m", "seen"),
     [

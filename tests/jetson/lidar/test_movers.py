@@ -10,7 +10,7 @@ from common.messages import Motion
 from common.path import Path, PathConfig
 from services.jetson.lidar.config import LidarConfig, MountingSection
 from services.jetson.lidar.decoder import ScanDecoder
-from services.jetson.lidar.movers import Movers, reach_m
+from services.jetson.lidar.movers import Movers, Thing, reach_m
 from services.jetson.lidar.pipeline import LidarPipeline
 from spotter_sim import ld06
 from spotter_sim.model import Scenario
@@ -71,6 +71,26 @@ def test_where_a_bend_ends_what_stands_beside_the_way_does_not_move(number, bend
     said = levels(yard(3.0, number).scenario, bend_ends_s - 0.8, bend_ends_s + 0.8)
     assert len(said) > 12
     assert set(said.values()) == {"SAFE"}
+
+
+@pytest.mark.parametrize(
+    ("what", "walks_mps", "grows", "moves"),
+    [("a body that walks", 1.4, False, True), ("a wall of which more comes into view", 0.0, True, False),
+     ("a post", 0.0, False, False)],
+)  # fmt: skip
+def test_only_what_leaves_its_place_with_both_ends_moves(what, walks_mps, grows, moves):
+    """Driving at 2 m/s past a wall: its near end stays over ground, its far end is where the view ends."""
+    movers, motion = Movers(CONFIG), Motion(2.0)
+    for k in range(9):
+        near_m = 3.0 - 0.2 * k
+        far_m = 3.6 if grows else near_m + 0.4
+        y = -1.1 + walks_mps * 0.1 * k
+        ends = np.array([[near_m, y], [far_m, y]])
+        movers._predict(motion, motion, 0.1)
+        movers._associate([Thing(ends.mean(axis=0), ends, far_m - near_m)])
+    (mover,) = movers._movers
+    assert mover.scans == 9
+    assert movers._moves(mover) == moves
 
 
 def test_a_gap_in_the_scans_forgets_who_was_followed():
