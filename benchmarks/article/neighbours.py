@@ -49,20 +49,16 @@ def neighbour_distances(points: np.ndarray) -> np.ndarray:
     hold a nearer point than the fifth found.
     """
     grid = sorted_into_cells(points)
-    mean_m, nearest = np.empty(len(points), np.float32), np.empty(NEIGHBOURS, np.float32)
+    mean_m = np.empty(len(points), np.float32)
     widest = grid.shape.max()
     for i in range(len(points)):
         reach = 1
-        while True:
-            nearest[:] = np.inf
-            _search_cube(grid, i, reach, nearest)
-            if nearest[NEIGHBOURS - 1] <= (reach * grid.size_m) ** 2 or reach >= widest:
-                break
+        a, b, c, d, e = _five_nearest(grid, i, reach)
+        while e > (reach * grid.size_m) ** 2 and reach < widest:
             reach += 1
-        total_m = np.float32(0.0)
-        for squared in nearest:
-            total_m += np.sqrt(squared)
-        mean_m[i] = total_m / NEIGHBOURS
+            a, b, c, d, e = _five_nearest(grid, i, reach)
+        total_m = np.sqrt(a) + np.sqrt(b) + np.sqrt(c) + np.sqrt(d) + np.sqrt(e)
+        mean_m[i] = total_m / np.float32(NEIGHBOURS)
     return mean_m
 
 
@@ -93,27 +89,25 @@ def sorted_into_cells(points: np.ndarray) -> CellGrid:
 
 
 @kernel
-def _search_cube(grid: CellGrid, i: int, reach: int, nearest: np.ndarray) -> None:
-    """Put the squared distances of the nearest others of point i within ``reach`` cells into nearest, rising."""
+def _five_nearest(grid: CellGrid, i: int, reach: int) -> tuple[float, float, float, float, float]:
+    """Rising squared distances of the five nearest others of point i within ``reach`` cells; infinity where none is.
+
+    Each candidate is carried down the five by minimum and maximum: without a branch, the processor need not guess.
+    """
     x, y, z = grid.points[i, 0], grid.points[i, 1], grid.points[i, 2]
     cx, cy = int((x - grid.low[0]) / grid.size_m), int((y - grid.low[1]) / grid.size_m)
     cz = int((z - grid.low[2]) / grid.size_m)
     first, last = max(cx - reach, 0), min(cx + reach, grid.shape[0] - 1)
+    a = b = c = d = e = np.float32(np.inf)
     for kz in range(max(cz - reach, 0), min(cz + reach + 1, grid.shape[2])):
         for ky in range(max(cy - reach, 0), min(cy + reach + 1, grid.shape[1])):
             row = (kz * grid.shape[1] + ky) * grid.shape[0]
             for j in range(grid.start[row + first], grid.start[row + last + 1]):  # neighbours along x lie together
                 dx, dy, dz = grid.points[j, 0] - x, grid.points[j, 1] - y, grid.points[j, 2] - z
-                squared = dx * dx + dy * dy + dz * dz
-                if squared < nearest[NEIGHBOURS - 1] and j != i:
-                    _insert(nearest, squared)
-
-
-@kernel
-def _insert(nearest: np.ndarray, squared_m2: float) -> None:
-    """Keep the smallest squared distances, rising."""
-    m = len(nearest) - 1
-    while m > 0 and nearest[m - 1] > squared_m2:
-        nearest[m] = nearest[m - 1]
-        m -= 1
-    nearest[m] = squared_m2
+                rest = dx * dx + dy * dy + dz * dz if j != i else np.float32(np.inf)
+                a, rest = min(a, rest), max(a, rest)
+                b, rest = min(b, rest), max(b, rest)
+                c, rest = min(c, rest), max(c, rest)
+                d, rest = min(d, rest), max(d, rest)
+                e = min(e, rest)
+    return a, b, c, d, e
