@@ -36,8 +36,8 @@ def band_columns(local: np.ndarray, mean: np.ndarray, base: float, row: np.ndarr
     extent[:, 1] = extent[:, 3] = -np.inf
     for i in range(n):
         b, height = 0, z[i] + base
-        while b < BANDS and height >= EDGES_M[b]:
-            b += 1
+        for edge in EDGES_M:
+            b += height >= edge
         if b < BANDS:
             count[b] += 1
             u, v = local[3, i], local[4, i]
@@ -56,24 +56,27 @@ def _depth(local: np.ndarray, mean: np.ndarray) -> tuple[float, float]:
     x, y, z = local[0], local[1], local[2]
     away = max(math.hypot(mean[0], mean[1]), 1e-6)
     vx, vy = np.float32(mean[0] / away), np.float32(mean[1] / away)
-    least, most = np.full(3, np.inf, np.float32), np.full(3, -np.inf, np.float32)
+    inf = np.float32(np.inf)
+    near, far, right, left, low, high = inf, -inf, inf, -inf, inf, -inf
     for i in range(len(z)):
         depth, across = vx * x[i] + vy * y[i], vx * y[i] - vy * x[i]
-        least[0], most[0] = min(least[0], depth), max(most[0], depth)
-        least[1], most[1] = min(least[1], across), max(most[1], across)
-        least[2], most[2] = min(least[2], z[i]), max(most[2], z[i])
-    per_across = np.float32(_ACROSS / max(most[1] - least[1], 1e-3))
-    per_up = np.float32(_UP / max(most[2] - least[2], 1e-3))
+        near, far = min(near, depth), max(far, depth)
+        right, left = min(right, across), max(left, across)
+        low, high = min(low, z[i]), max(high, z[i])
+    per_across = np.float32(_ACROSS / max(left - right, 1e-3))
+    per_up = np.float32(_UP / max(high - low, 1e-3))
     sums = np.zeros((_ACROSS * _UP, 3), np.float32)  # points, depth, depth squared
     for i in range(len(z)):
         depth, across = vx * x[i] + vy * y[i], vx * y[i] - vy * x[i]
-        column = min(int((across - least[1]) * per_across), _ACROSS - 1)
-        cell = sums[column * _UP + min(int((z[i] - least[2]) * per_up), _UP - 1)]
-        cell[0], cell[1], cell[2] = cell[0] + 1.0, cell[1] + depth, cell[2] + depth * depth
+        column = min(int((across - right) * per_across), _ACROSS - 1)
+        c = column * _UP + min(int((z[i] - low) * per_up), _UP - 1)
+        sums[c, 0] += np.float32(1.0)
+        sums[c, 1] += depth
+        sums[c, 2] += depth * depth
     weight = total = 0.0
     for cell in sums:
         if cell[0] >= 3.0:
             middle = cell[1] / cell[0]
             total += cell[0] * math.sqrt(max(cell[2] / cell[0] - middle * middle, 0.0))
             weight += cell[0]
-    return (total / weight if weight > 0.0 else 0.0), most[0] - least[0]
+    return (total / weight if weight > 0.0 else 0.0), far - near

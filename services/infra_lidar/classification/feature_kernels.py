@@ -52,14 +52,11 @@ def cluster_features(
     points (M, 3) float32 grouped by offsets (K + 1,), none of the clusters empty; ground_z_m (K,) float32.
     ``hull_fill`` is 0 without ``hull``, ``BAND_NAMES`` are without ``bands``.
     """
-    largest = 1
-    for k in range(len(offsets) - 1):
-        largest = max(largest, offsets[k + 1] - offsets[k])
-    scratch = np.empty((5, largest), np.float32)
     for k in range(len(offsets) - 1):
         cluster = points[offsets[k] : offsets[k + 1]]
-        mean = _centre(cluster, scratch)
-        _fill_row(scratch[:, : len(cluster)], mean, ground_z_m[k], hull, bands, out[k])
+        local = np.empty((5, len(cluster)), np.float32)  # each row in one piece, so that loops over it are vectorised
+        mean = _centre(cluster, local)
+        _fill_row(local, mean, ground_z_m[k], hull, bands, out[k])
 
 
 @kernel
