@@ -72,15 +72,14 @@ def known_object(
     picture: Annotated[Path, typer.Argument(help="One picture of an upright object, seen in full.")],
     height_m: Annotated[float, typer.Option(help="Its real height.")],
     distance_m: Annotated[float, typer.Option(help="Its distance from the lens, along the view.")],
-    box: Annotated[str, typer.Option(help="Its rows in the picture, TOP,BOTTOM; without it the network looks.")] = "",
-    label: Annotated[str, typer.Option(help="What the network shall look for.")] = "person",
-    model: Annotated[str, typer.Option(help="The network to look with, where no --box is given.")] = "",
+    box: Annotated[str, typer.Option(help="Its rows in the picture, TOP,BOTTOM; without it a network looks.")] = "",
+    model: Annotated[str, typer.Option(help="The network that looks for a person, where no --box is given.")] = "",
     out: OutOption = Path("camera.toml"),
 ) -> None:
     """Calibrate from one object of known height at a known distance."""
     image = _read(picture)
     try:
-        top, bottom = _rows(box) if box else _find(image, label, model)
+        top, bottom = _rows(box) if box else _find_person(image, model)
         lens = from_object(image.shape[1], image.shape[0], bottom - top, height_m, distance_m)
     except CalibrationError as error:
         raise typer.BadParameter(str(error)) from None
@@ -249,8 +248,8 @@ def _rows(text: str) -> tuple[float, float]:
     return top, bottom
 
 
-def _find(image: np.ndarray, label: str, model: str) -> tuple[float, float]:
-    """Top and bottom of the tallest object of this label."""
+def _find_person(image: np.ndarray, model: str) -> tuple[float, float]:
+    """Top and bottom of the tallest person."""
     if not model:
         raise CalibrationError("give the object's rows with --box TOP,BOTTOM, or a network with --model")
     detector = Detector(msgspec.structs.replace(CameraConfig().detector, model=model))
@@ -258,8 +257,8 @@ def _find(image: np.ndarray, label: str, model: str) -> tuple[float, float]:
     rows = [
         (float(box[1]), float(box[3]))
         for box, class_id in zip(boxes.xyxy_px, boxes.class_id, strict=True)
-        if detector.names[class_id] == label
+        if detector.names[class_id].lower() == "person"
     ]
     if not rows:
-        raise CalibrationError(f"no {label} found in the picture; give its rows with --box TOP,BOTTOM")
+        raise CalibrationError("no person found in the picture; give the object's rows with --box TOP,BOTTOM")
     return max(rows, key=lambda row: row[1] - row[0])

@@ -151,7 +151,7 @@ def test_the_object_command_takes_rows_by_hand_or_asks_the_network(tmp_path: Pat
     ("arguments", "told"),
     [
         (["--box", "hello"], "expected TOP,BOTTOM"),
-        (["--label", "bus", "--model", str(DEMO_MODEL)], "no bus found"),
+        (["--model", str(DEMO_MODEL)], "no person found"),
         ([], "--box TOP,BOTTOM, or a network with --model"),
         (["--box", "10,12"], "a field of view of"),
     ],
