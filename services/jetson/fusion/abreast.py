@@ -15,7 +15,9 @@ Where the speed says that the track is beside the way by half its distance and m
 comes nearer so much more slowly is not ahead. It may be hidden from the lidar, as the wall behind parked cars is.
 
 A CAUTION about a standing track beyond what the lidar sees waits until it is near enough for both, if the lidar sees
-nothing in the way there, and the way free for ``EARLY_S`` longer than a stop needs.
+nothing in the way there, and the way free for ``EARLY_S`` longer than a stop needs. Where the lidar sees it as well,
+nearer than where its own CAUTION begins, and says SAFE nevertheless, as before the outer wall of a bend, it waits too.
+IMMINENT, which is what a stop needs, never waits.
 
 What the lidar does not see (a pane, a low box) alarms as soon as its speed shows that it is none of what stands beside;
 exactly between two stronger things, their echo hides it. Pure.
@@ -79,9 +81,13 @@ class AbreastWatch:
         beside = [track for track in may_be if _is_far_beside(track) or _is_between(track, flanks)]
         self._shown_ns |= {track.track_id: now_ns for track in beside}
         aside = [track for track in may_be if track.track_id in self._shown_ns]
+        nearest_m = float(np.hypot(*(points[in_way] - [radar.x_m, radar.y_m]).T).min(initial=np.inf))
+        cautions = [track for track in alarms if track.level == "CAUTION" and track.beside_m is not None]
         if free_m >= path.stopping_m + EARLY_S * motion.speed_mps:
-            nearest_m = np.hypot(*(points[in_way] - [radar.x_m, radar.y_m]).T).min(initial=np.inf)
-            aside += [track for track in alarms if _can_wait(track, free_m, float(nearest_m))]
+            aside += [track for track in cautions if _is_beyond(track, free_m, nearest_m)]
+        layout = seen.lidar.layout
+        if seen.lidar.level == "SAFE" and layout is not None and nearest_m <= layout.caution_m:
+            aside += [track for track in cautions if _is_as_far(track, nearest_m)]
         if not aside:
             return None
         rest = [track for track in alarms if track not in aside]
@@ -113,13 +119,17 @@ def _free_m(cover: Cover, path: Path) -> float:
     return CELL_M * (int(np.argmin(rows)) if not rows.all() else len(rows))
 
 
-def _can_wait(track: RadarTrack, free_m: float, nearest_m: float) -> bool:
-    """A CAUTION about something that stands where the lidar sees no more, and whose speed may be that of a flank.
+def _is_beyond(track: RadarTrack, free_m: float, nearest_m: float) -> bool:
+    """It stands where the lidar sees no more, and its speed may be that of a flank.
 
     Not where the lidar sees no more because something is in the way: ``nearest_m`` from the radar, inf = nothing.
     """
-    beyond = track.range_m + FARTHER_M > free_m
-    return track.level == "CAUTION" and track.beside_m is not None and beyond and nearest_m > track.range_m + FARTHER_M
+    return track.range_m + FARTHER_M > free_m and nearest_m > track.range_m + FARTHER_M
+
+
+def _is_as_far(track: RadarTrack, range_m: float | np.ndarray) -> np.ndarray:
+    """Whether what the lidar sees at these distances from the radar may be what the radar sees."""
+    return np.asarray((range_m >= track.range_m - NEARER_M) & (range_m <= track.range_m + FARTHER_M))
 
 
 def _is_far_beside(track: RadarTrack) -> bool:
@@ -133,7 +143,7 @@ def _is_between(track: RadarTrack, flanks: np.ndarray) -> bool:
         return False
     least_m, most_m = track.beside_m
     range_m, aside_m = flanks.T
-    as_far = (range_m >= track.range_m - NEARER_M) & (range_m <= track.range_m + FARTHER_M)
+    as_far = _is_as_far(track, range_m)
     as_fast = (np.abs(aside_m) >= least_m - BESIDE_M) & (np.abs(aside_m) <= most_m + BESIDE_M)
     sides = np.sign(aside_m[as_far & as_fast])
     return bool((sides > 0).any() and (sides < 0).any())

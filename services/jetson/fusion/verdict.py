@@ -259,8 +259,8 @@ def decide(
 def abreast_words(abreast: Abreast) -> str:
     """What was set aside, and why."""
     return (
-        f"radar {abreast.aside_level} at {abreast.aside_m:.2f} m, but the LiDAR sees the way free there, and "
-        "by its speed the echo may be of what stands beside it"
+        f"radar {abreast.aside_level} at {abreast.aside_m:.2f} m, but the LiDAR sees the way there: by its speed the "
+        "echo is of what stands beside it, or it can wait"
     )
 
 

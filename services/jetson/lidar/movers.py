@@ -135,7 +135,7 @@ class Movers:
         config = self._config
         soonest: tuple[float, float] | None = None
         for mover in self._movers:
-            comes = self._moves(mover) and self._comes(mover, path)
+            comes = self._moves(mover, path) and self._comes(mover, path)
             mover.contact_s = self._contact_s(mover, path) if comes else None
             if mover.contact_s is not None and (soonest is None or mover.contact_s < soonest[0]):
                 soonest = mover.contact_s, max(0.0, float(mover.state[0]) - path.config.front_m)
@@ -151,16 +151,18 @@ class Movers:
             self._held = (0, level, soonest[1] if soonest else ahead_m)
         return self._held[1], self._held[2]
 
-    def _moves(self, mover: Mover) -> bool:
+    def _moves(self, mover: Mover, path: Path) -> bool:
         """Followed for long enough, fast enough beyond doubt, and neither its middle nor an end is where it was.
 
-        The middle of a wall seems to move as more or less of it is seen, but one of its ends stays.
+        The middle of a wall seems to move as more or less of it is seen, but one of its ends stays. The end at the way
+        is asked once more: abreast of the vehicle first and last change places.
         """
         config, speed = self._config, float(np.linalg.norm(mover.state[2:]))
         sigma = float(np.sqrt(mover.covariance[2, 2] + mover.covariance[3, 3]))
         middle_m = mover.ends_m.mean(axis=0) - mover.born_m.mean(axis=0)
         ends_m = np.linalg.norm(mover.ends_m - mover.born_m, axis=1)
-        left_m = min(float(np.linalg.norm(middle_m)), float(ends_m.min()))
+        edge_m = _edge(mover.ends_m, path) - _edge(mover.born_m, path)
+        left_m = min(float(np.linalg.norm(middle_m)), float(np.linalg.norm(edge_m)), float(ends_m.min()))
         left_m -= mover.doubt_rad * float(np.linalg.norm(mover.state[:2]))
         return mover.scans >= config.scans and speed >= max(config.slowest_mps, sigma) and left_m >= config.left_m
 
@@ -186,6 +188,11 @@ def _mean(before: Motion, now: Motion) -> Motion:
     return msgspec.structs.replace(
         now, speed_mps=speed_mps, yaw_rate_radps=0.5 * (before.yaw_rate_radps + now.yaw_rate_radps)
     )
+
+
+def _edge(ends_m: np.ndarray, path: Path) -> np.ndarray:
+    """(2,) the end that is nearest to the way."""
+    return np.asarray(ends_m[np.abs(path.locate(ends_m)[1]).argmin()])
 
 
 def seen_now(returns: Returns, config: LidarConfig, motion: Motion) -> np.ndarray:

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from common.messages import Cover, LidarZone, LidarZones, Motion, RadarTrack, RadarTracks
+from common.messages import Cover, LaneLayout, LidarZone, LidarZones, Motion, RadarTrack, RadarTracks
 from common.path import PathConfig
 from services.jetson.fusion.abreast import AbreastWatch, Dated
 from services.jetson.fusion.config import RulesConfig
@@ -67,6 +67,22 @@ def test_what_comes_nearer_far_too_slowly_to_be_ahead_is_no_alarm() -> None:
     assert left_over(radar(far), lidar()) == Abreast("SAFE", (), "IMMINENT", 3.0)
     assert left_over(radar(less), lidar()) is None
     assert left_over(radar(far), lidar((2.0, 0.02))) is None  # something stands in the way
+
+
+@pytest.mark.parametrize(
+    ("level", "said", "caution_m", "aside"),
+    [
+        ("CAUTION", "SAFE", 5.0, True),
+        ("IMMINENT", "SAFE", 5.0, False),  # what a stop needs never waits
+        ("CAUTION", "CAUTION", 5.0, False),  # the lidar does not wait either
+        ("CAUTION", "SAFE", 2.5, False),  # it is beyond where the lidar's CAUTION begins
+    ],
+)
+def test_a_caution_waits_with_the_lidars_own(level: str, said: str, caution_m: float, aside: bool) -> None:
+    """The outer wall of a bend, 2.9 m from the radar; the lidar knows that it leads off."""
+    layout = LaneLayout(centre_width_m=0.3, side_width_m=0.1, look_ahead_m=6.0, imminent_m=1.8, caution_m=caution_m)
+    seen = msgspec.structs.replace(lidar((3.2, 0.02)), level=said, layout=layout)
+    assert (left_over(radar(track(level)), seen) is not None) == aside
 
 
 COUNTS = {

@@ -90,7 +90,7 @@ def test_only_what_leaves_its_place_with_both_ends_moves(what, walks_mps, grows,
         movers._associate([Thing(ends.mean(axis=0), ends, far_m - near_m)])
     (mover,) = movers._movers
     assert mover.scans == 9
-    assert movers._moves(mover) == moves
+    assert movers._moves(mover, Path(CONFIG.path, motion)) == moves
 
 
 def test_a_gap_in_the_scans_forgets_who_was_followed():
