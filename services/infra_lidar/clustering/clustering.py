@@ -102,7 +102,8 @@ class Clustering:
         body_m = np.float32(self._config.body_height_m or np.inf)
         above_m = np.ascontiguousarray(points[:, 3])  # one type for the kernels, however few points there are
         label, components = self._cells.label(points, above_m < body_m)
-        overhang = extract_overhang(above_m, label, tall_components(above_m, label, components, body_m), body_m)
+        tall = tall_components(above_m, label, components, body_m, np.float32(self._config.max_height_m))
+        overhang = extract_overhang(above_m, label, tall, body_m)
         if len(overhang):
             own, _ = self._cells.label(points[overhang], np.ones(len(overhang), np.bool_))
             label[overhang] = np.where(own >= 0, own + components, -1)

@@ -115,17 +115,25 @@ def labels_of_points(cell: np.ndarray, node_of_cell: np.ndarray, component: np.n
 
 
 @kernel
-def tall_components(above_m: np.ndarray, label: np.ndarray, components: int, body_m: np.float32) -> np.ndarray:
-    """(K,) bool: components whose points reach the top of the body height.
+def tall_components(
+    above_m: np.ndarray, label: np.ndarray, components: int, body_m: np.float32, most_m: np.float32
+) -> np.ndarray:
+    """(K,) bool: components whose points reach the top of the body height, and end below ``most_m``.
+
+    What is higher is no vehicle, but there may be one at its foot: a car beside a tree.
 
     above_m: (M,) float32, height above the local road. label: (M,) int32, component of each point, -1 = none.
     """
     number, in_band = np.zeros(components, np.int32), np.zeros(components, np.int32)
+    top_m = np.zeros(components, np.float32)
     for i in range(len(label)):
-        if label[i] >= 0 and above_m[i] < body_m:
+        if label[i] < 0:
+            continue
+        top_m[label[i]] = max(top_m[label[i]], above_m[i])
+        if above_m[i] < body_m:
             number[label[i]] += 1
             in_band[label[i]] += above_m[i] >= body_m - BAND_M
-    return (in_band >= TALL_POINTS) & (in_band >= TALL_SHARE * number)
+    return (in_band >= TALL_POINTS) & (in_band >= TALL_SHARE * number) & (top_m <= most_m)
 
 
 @kernel

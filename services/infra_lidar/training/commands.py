@@ -35,7 +35,7 @@ def train(
     folder: Folder = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="The model file.")] = Path("forest.npz"),
     scenes: Scenes = 40,
-    bodies: Annotated[int, typer.Option("--bodies", min=0, help="Single generated bodies per class besides.")] = 700,
+    bodies: Annotated[int, typer.Option("--bodies", min=0, help="Single generated bodies per class besides.")] = 1500,
     trees: Annotated[int, typer.Option("--trees", min=1)] = 48,
     leaves: Annotated[int, typer.Option("--leaves", min=2, help="Of a tree, at the most.")] = 1000,
 ) -> None:

@@ -90,6 +90,21 @@ def _hedge(rng: _Rng) -> Solids:
     )
 
 
+def _thicket(rng: _Rng) -> Solids:
+    """Shrubs and young trees in a strip beside the road, as large as a van or a bus, and as a piece of one."""
+    long, deep, high = rng.uniform(0.8, 6.0), rng.uniform(0.4, 2.2), rng.uniform(1.5, 5.0)
+    count = int(np.clip(long * deep * high * rng.uniform(0.4, 1.2), 4, 40))
+    balls = []
+    for _ in range(count):
+        x, y, top = rng.uniform(-long, long), rng.uniform(-deep, deep), high * rng.uniform(0.55, 1.0)
+        half = min(rng.uniform(0.3, 1.4), 0.5 * top)
+        balls.append(_ball(rng, (x, y, top - half), 0.6 * half, half))
+        if top > 2.0 * half and rng.random() < 0.8:  # leaves down to the ground, or a stem
+            balls.append(_ball(rng, (x, y, 0.5 * (top - half)), 0.5 * half, half))
+    stems = [_post(rng.uniform(-long, long), rng.uniform(-deep, deep), 0.7 * high, rng.uniform(0.03, 0.12))]
+    return join([*balls, *stems])
+
+
 def _wall(rng: _Rng) -> Solids:
     """Straight, or round a corner, or with openings."""
     long, thick, high = rng.uniform(0.4, 7.0), rng.uniform(0.04, 0.3), rng.uniform(0.5, 5.0)
@@ -203,8 +218,8 @@ def _arch(rng: _Rng) -> Solids:
 
 
 _TABLE: tuple[tuple[Callable[[_Rng], Solids], float], ...] = (
-    (_lamp, 1.0), (_sign, 1.0), (_tree, 1.6), (_bushes, 1.4), (_hedge, 1.2), (_wall, 1.2), (_boxes, 1.2),
-    (_barrier, 1.4), (_bench, 0.7), (_shelter, 0.6), (_row, 0.8), (_cycles, 1.0), (_planter, 0.6),
+    (_lamp, 1.0), (_sign, 1.0), (_tree, 1.6), (_bushes, 1.4), (_hedge, 1.2), (_thicket, 0.8), (_wall, 1.2),
+    (_boxes, 1.2), (_barrier, 1.4), (_bench, 0.7), (_shelter, 0.6), (_row, 0.8), (_cycles, 1.0), (_planter, 0.6),
     (_heap, 0.8), (_arch, 0.5),
 )  # fmt: skip
 _MAKERS = [maker for maker, _ in _TABLE]

@@ -52,6 +52,19 @@ def test_a_canopy_does_not_join_the_cars_below():
     assert len(_cluster(*cars, canopy, config=all_heights)[0]) < 3
 
 
+def test_a_car_at_the_foot_of_what_is_higher_than_any_vehicle_is_not_lost():
+    """A trunk that touches it, and its crown up to 7 m: the crown is a thing of its own."""
+    car = solid(12, 0, 4.2, 1.8, 0.2, 1.5, n=600)
+    trunk, crown = solid(12, 1.05, 0.4, 0.4, 0.2, 6.0, n=600), solid(12, 2.5, 5.0, 5.0, 3.0, 7.0, n=2000)
+    found, owner = _cluster(car, trunk, crown)
+    (cluster,) = _own(found, owner)[0]
+    assert found.box[cluster, 5] < 2.2
+    assert np.mean(owner[found.cluster_id(len(owner)) == cluster] == 0) > 0.5
+    unbounded = ClusteringConfig(max_height_m=8.0)
+    (joined,) = _own(_cluster(car, trunk, crown, config=unbounded)[0], owner)[0]
+    assert _cluster(car, trunk, crown, config=unbounded)[0].box[joined, 5] > 5.0
+
+
 def test_a_bus_keeps_its_roof():
     found, _ = _cluster(solid(15, 0, 12, 2.5, 0.3, 3.2, n=6000))
     assert len(found) == 1
