@@ -168,7 +168,8 @@ PLANE, KNOWN = cone(20.0, 6.0, only="what crosses its plane"), cone(20.0, 6.0, o
     ("speed_mps", "covers", "fast", "safe_mps"),
     [
         (2.0, (PLANE, KNOWN), True, 1.0),
-        (1.0, (PLANE, KNOWN), False, 1.0),
+        (1.1, (PLANE, KNOWN), False, 1.0),  # as a vehicle that keeps to 1 m/s is measured
+        (1.11, (PLANE, KNOWN), True, 1.0),
         (2.0, (PLANE, cone(20.0, 6.0)), False, None),  # the radar sees obstacles of every kind
         (2.0, (PLANE, cone(20.0, 6.0, standing=False)), True, 1.0),  # but not one that sees only what moves
     ],
