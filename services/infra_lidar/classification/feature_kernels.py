@@ -54,7 +54,7 @@ def cluster_features(
     """
     for k in range(len(offsets) - 1):
         cluster = points[offsets[k] : offsets[k + 1]]
-        local = np.empty((5, len(cluster)), np.float32)  # each row in one piece, so that loops over it are vectorised
+        local = np.empty((5, len(cluster)), np.float32)  # each row in one piece
         mean = _centre(cluster, local)
         _fill_row(local, mean, ground_z_m[k], hull, bands, out[k])
 

@@ -78,7 +78,7 @@ class AbreastWatch:
         may_be = [track for track in alarms if track.beside_m is not None and track.range_m + FARTHER_M <= free_m]
         now_ns = seen.radar.stamp_ns
         self._shown_ns = {key: at_ns for key, at_ns in self._shown_ns.items() if now_ns - at_ns <= SHOWN_S * 1e9}
-        beside = [track for track in may_be if _is_far_beside(track) or _is_between(track, flanks)]
+        beside = [track for track in may_be if _is_far_beside(track, path) or _is_between(track, flanks)]
         self._shown_ns |= {track.track_id: now_ns for track in beside}
         aside = [track for track in may_be if track.track_id in self._shown_ns]
         nearest_m = float(np.hypot(*(points[in_way] - [radar.x_m, radar.y_m]).T).min(initial=np.inf))
@@ -132,9 +132,10 @@ def _is_as_far(track: RadarTrack, range_m: float | np.ndarray) -> np.ndarray:
     return np.asarray((range_m >= track.range_m - NEARER_M) & (range_m <= track.range_m + FARTHER_M))
 
 
-def _is_far_beside(track: RadarTrack) -> bool:
-    """Its speed alone says so."""
-    return track.beside_m is not None and track.beside_m[0] >= FAR_BESIDE * track.range_m
+def _is_far_beside(track: RadarTrack, path: Path) -> bool:
+    """Its speed alone says so; in a curve the way itself leads off the line of travel."""
+    leads_off_m = 0.5 * abs(path.curvature_per_m) * track.range_m**2
+    return track.beside_m is not None and track.beside_m[0] - leads_off_m >= FAR_BESIDE * track.range_m
 
 
 def _is_between(track: RadarTrack, flanks: np.ndarray) -> bool:

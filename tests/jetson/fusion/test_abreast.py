@@ -67,6 +67,7 @@ def test_what_comes_nearer_far_too_slowly_to_be_ahead_is_no_alarm() -> None:
     assert left_over(radar(far), lidar()) == Abreast("SAFE", (), "IMMINENT", 3.0)
     assert left_over(radar(less), lidar()) is None
     assert left_over(radar(far), lidar((2.0, 0.02))) is None  # something stands in the way
+    assert left_over(radar(far), lidar(), Motion(2.0, 0.04)) is None  # in a curve the way leads there
 
 
 @pytest.mark.parametrize(
