@@ -56,8 +56,9 @@ def _depth(local: np.ndarray, mean: np.ndarray) -> tuple[float, float]:
     x, y, z = local[0], local[1], local[2]
     away = max(math.hypot(mean[0], mean[1]), 1e-6)
     vx, vy = np.float32(mean[0] / away), np.float32(mean[1] / away)
-    inf = np.float32(np.inf)
-    near, far, right, left, low, high = inf, -inf, inf, -inf, inf, -inf
+    near = far = vx * x[0] + vy * y[0]
+    right = left = vx * y[0] - vy * x[0]
+    low = high = z[0]
     for i in range(len(z)):
         depth, across = vx * x[i] + vy * y[i], vx * y[i] - vy * x[i]
         near, far = min(near, depth), max(far, depth)
