@@ -10,7 +10,7 @@ from spotter_sim.vehicle import CART, MODEL_CAR, Chassis
 
 Level = Literal["SAFE", "CAUTION", "IMMINENT"]
 
-BEGINS_S = 4.0  # before this the vehicle is carried along its way while sensors settle; then the gate has the brakes
+BEGINS_S = 3.5  # before this the vehicle is carried along its way while sensors settle; then the gate has the brakes
 FAILS_S = 0.5  # a sensor that is out fails at this time: it has been seen before
 
 # What is out, by the name in the tables: faults of the simulated devices.

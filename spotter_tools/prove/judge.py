@@ -11,7 +11,6 @@ from spotter_tools.prove.yardstick import Yardstick
 TRUE_WITHIN_S = 4.0  # an alarm is true from so long before the unbraked contact on
 BEFORE_S = 1.0  # "had already limited the speed": so long before the unbraked contact
 OVER_MPS = 0.1
-TAKES_OVER_S = 0.1  # after the gate has the brakes: its period, the bus and the actuator's dead time
 _STANDS_MPS = 0.02
 
 
@@ -61,10 +60,6 @@ def _limit_before(log: list[Moment], yardstick: Yardstick) -> float | None:
 
 
 def _over(moment: Moment) -> bool:
-    """Faster than the verdict says is safe, and not braking once the gate's first order has reached the brakes."""
+    """Faster than the verdict says is safe, and not braking."""
     safe_mps = getattr(moment.verdict, "max_safe_speed_mps", None)
-    return safe_mps is not None and moment.speed_mps > safe_mps + OVER_MPS and not _brakes_hold(moment)
-
-
-def _brakes_hold(moment: Moment) -> bool:
-    return moment.braking or moment.t_s < BEGINS_S + TAKES_OVER_S
+    return safe_mps is not None and moment.speed_mps > safe_mps + OVER_MPS and not moment.braking

@@ -20,6 +20,7 @@ KEPT = (
     "thin pole, 2 m/s",
     "glass wall, 2 m/s",
     "cyclist from near, 3 m/s, cart",
+    "cyclist from near, 3 m/s, rain",
     "cyclist from near, 3 m/s, cart, rain",
     "cyclist from near, 2 m/s, without lidar",
     "child behind a parked car, 2 m/s, without camera",

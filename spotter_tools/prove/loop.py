@@ -98,9 +98,13 @@ class _Loop:
         """All events in their order."""
         while not self._over():
             now_s, _, what, about = heapq.heappop(self._queue)
-            self._vehicle.advance(now_s, self._order)
+            self._vehicle.advance(now_s, self._in_force(now_s))
             getattr(self, f"_on_{what}")(now_s, about)
         return self._drive
+
+    def _in_force(self, now_s: float) -> Order:
+        """The last order that reached the brakes, once the gate has them."""
+        return self._order if now_s >= BEGINS_S else FREE
 
     def _over(self) -> bool:
         """Hit; or the case's time is up and nothing is in the way any more, or the vehicle has stood before it."""
@@ -148,8 +152,6 @@ class _Loop:
         self._push(now_s + GATE_TO_ACTUATOR_S + self._preset.dead_time_s, "brakes", self._decision)
 
     def _on_brakes(self, now_s: float, decision: Decision) -> None:
-        if now_s < BEGINS_S:
-            return
         hard = decision.permission == "STOP"
         limit_mps = 0.0 if hard else decision.limit_mps
         self._order = Order(limit_mps, self._preset.brake_mps2 if hard else self._preset.slow_mps2)
@@ -160,7 +162,7 @@ class _Loop:
         speed, x, y = self._vehicle.speed_mps, float(world.T_map_vehicle[0, 3]), float(world.T_map_vehicle[1, 3])
         yaw = math.atan2(world.T_map_vehicle[1, 0], world.T_map_vehicle[0, 0])
         self._stands_since_s = None if speed > 0.01 else self._stands_since_s or now_s
-        planned, braking = self._vehicle.planned_mps, self._order.limit_mps < self._vehicle.planned_mps - 0.05
+        planned, braking = self._vehicle.planned_mps, self._in_force(now_s).limit_mps < self._vehicle.planned_mps - 0.05
         self._drive.log.append(Moment(now_s, x, y, yaw, speed, planned, gap, self._verdict, self._decision, braking))
         if gap <= 0.0 and now_s > BEGINS_S:
             self._drive.impact_mps = closing_mps([(m.t_s, m.gap_m) for m in self._drive.log[-4:]])
