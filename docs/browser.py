@@ -54,6 +54,7 @@ class Browser:
             self._call(f"{domain}.enable")
 
     def open(self, url: str, width: int = 1400, height: int = 1000, dark: bool = False) -> None:
+        """Load a page in a window of this size in px and wait until it is there."""
         self._call(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
         )
@@ -79,6 +80,7 @@ class Browser:
         return value
 
     def press(self, key: str) -> None:
+        """Press and release a key."""
         for kind in ("keyDown", "keyUp"):
             self._call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
 
@@ -89,6 +91,7 @@ class Browser:
         path.write_bytes(base64.b64decode(answer["data"]))
 
     def close(self) -> None:
+        """End the browser."""
         self._socket.close()
         self._process.terminate()
         self._process.wait(10)

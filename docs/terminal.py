@@ -106,6 +106,7 @@ class Shell:
         self._seen = 0
 
     def read_until(self, words: str) -> None:
+        """Read until the terminal has shown these words; ends the program when it does not within a minute."""
         deadline_s = time.monotonic() + 60.0
         while words not in self.text[self._seen :]:
             ready, _, _ = select.select([self._master], [], [], max(deadline_s - time.monotonic(), 0.0))
@@ -115,11 +116,13 @@ class Shell:
         self._seen = self.text.index(words, self._seen) + len(words)
 
     def enter(self, words: str, then: str) -> None:
+        """Type a command and read until it has shown the words ``then``."""
         os.write(self._master, f"{words}\n".encode())
         self.read_until(f"{words}\r\n")  # its echo
         self.read_until(then)
 
     def close(self) -> None:
+        """End what runs in the background, and the shell."""
         os.write(self._master, b"kill %1; wait; exit\n")
         with contextlib.suppress(OSError):
             while os.read(self._master, 65536):

@@ -34,12 +34,15 @@ class Adopted:
         self._descriptor = descriptor
 
     def send_signal(self, signum: int) -> None:
+        """Send a signal; ``ProcessLookupError`` when it has ended."""
         signal.pidfd_send_signal(self._descriptor, signum)
 
     def terminate(self) -> None:
+        """Ask it to end."""
         self.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
+        """End it at once."""
         self.send_signal(signal.SIGKILL)
 
     async def wait(self) -> None:

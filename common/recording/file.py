@@ -20,13 +20,6 @@ from common.recording.schemas import json_schema, schema_name
 CHUNK_BYTES = 1 << 20
 
 
-class _ChunkedWriter(Writer):
-    """The library closes a chunk when it is full; we also close it when it is old, which it has no public call for."""
-
-    def close_chunk(self) -> None:
-        self._Writer__finalize_chunk()  # type: ignore[attr-defined]
-
-
 class RecordingFile:
     """Use it in a ``with`` statement; leaving it writes the index and the statistics.
 
@@ -40,7 +33,7 @@ class RecordingFile:
         self.held_ns = 0  # log time of the newest message that was handed to the kernel; 0 = none
         self._newest_ns = 0
         self._stream: BufferedWriter = path.open("xb")
-        self._writer = _ChunkedWriter(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="spotter", library="spotter")
         for name, values in metadata.items():
             self._writer.add_metadata(name, values)
@@ -85,8 +78,7 @@ class RecordingFile:
 
     def flush(self) -> None:
         """Close the chunk and hand everything to the kernel: what is before this survives a kill -9."""
-        self._writer.close_chunk()
-        self._stream.flush()
+        self._writer.flush()
         self.held_ns = self._newest_ns
 
     def sync(self) -> None:

@@ -205,6 +205,7 @@ class _Heard:
         self._host = ""
 
     def take(self, key: str, payload: bytes) -> None:
+        """Take a message in; of another vehicle's fusion only the first is reported."""
         host = key.partition("/")[0]
         self._host = self._host or host
         if host != self._host:

@@ -78,6 +78,7 @@ class FusionWatch:
         return next((one.offset_ms for name, one in clocks.items() if name.endswith(f"/{sensor}")), 0.0)
 
     def note_health(self, health: SystemHealth) -> None:
+        """Take in the newest health message."""
         self._health = health
 
     def view(self, host: str, vehicle: str, now_s: float) -> FusionView:

@@ -21,6 +21,7 @@ class Progress:
         self._width = 0
 
     def tell(self, text: str) -> None:
+        """Show a line, when the last one is old enough."""
         if self._shown and self._refresh.due(monotonic_s()):
             self._write(text)
 

@@ -101,6 +101,7 @@ class _Watch:
         self._refusal_told = False
 
     def tell(self, status: RecorderStatus) -> None:
+        """Show how far the recording is."""
         into_s = monotonic_s() - self._started_s
         if self._seconds and into_s >= self._seconds:
             self._stop.set()
@@ -111,6 +112,7 @@ class _Watch:
         self._progress.share(into_s, self._seconds, f"{into_s:.0f} s  {self.words(status)}")
 
     def end(self, status: RecorderStatus) -> None:
+        """The recording has ended."""
         self._presence.end(status)
         self._progress.close()
 

@@ -84,12 +84,14 @@ class _Arrivals:
     window: deque[tuple[float, int]] = field(default_factory=deque)
 
     def note(self, now_s: float, size: int) -> None:
+        """Count a message of ``size`` bytes."""
         self.messages += 1
         self.last_s = now_s
         self.window.append((now_s, size))
         self.forget(now_s)
 
     def forget(self, now_s: float) -> None:
+        """Drop what is older than the window of the rate."""
         while self.window and self.window[0][0] < now_s - RATE_WINDOW_S:
             self.window.popleft()
 
@@ -119,6 +121,7 @@ class Observer:
             threading.Thread(target=self._receive, args=(subscriber,), name="observer", daemon=True).start()
 
     def close(self) -> None:
+        """Stop listening."""
         self._presence.close()
         self._decides.close()
         for subscriber in self._subscribers:

@@ -99,6 +99,7 @@ class World:
         return seen, shown
 
     def place(self, body: Body) -> tuple[float, float] | None:
+        """Where a body is from the vehicle, (x, y) in m; None while it is not there."""
         at = body.place(self.now_s)
         return None if at is None else self.vehicle.sees_at(at)
 
@@ -129,6 +130,7 @@ class World:
         return self.seen
 
     def host(self, name: str) -> str:
+        """The host of a sensor."""
         host: str = getattr(self.config.sensors, name).host
         return host
 

@@ -52,6 +52,7 @@ class Live:
         return cls(process, words, _without_swap(environment))
 
     def stop(self) -> None:
+        """End it."""
         """SIGTERM, then SIGKILL if it has not ended in time."""
         if self.process.poll() is not None:
             return
@@ -123,6 +124,7 @@ class Predecessor:
             write_successor(self.inbox, self.service, known)
 
     def stop(self) -> None:
+        """Stop it by its stop command, or by a signal."""
         if self._stop_command:
             subprocess.run(self._stop_command, check=True, timeout=30, stdout=subprocess.DEVNULL)
         else:

@@ -59,6 +59,7 @@ class TopicTap:
         return True
 
     def close(self) -> None:
+        """Stop listening."""
         undeclare(self._subscriber)
 
 

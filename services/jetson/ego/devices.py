@@ -44,6 +44,7 @@ class SerialLines:
         self._url, self._baud, self._was_open = url, int(url.number("baud", 115200)), False
 
     def readings(self) -> Readings:
+        """Measurements of the lines as they come. Raises ``OSError``: the port is lost."""
         reader = LineReader()
         try:
             with serial.Serial(self._url.target, self._baud, timeout=READ_TIMEOUT_S, exclusive=True) as port:
@@ -64,6 +65,7 @@ class Vesc:
         self._config = config.vesc
 
     def readings(self) -> Readings:
+        """Speed and battery, asked for every ``vesc.period_s``. Raises ``OSError``: the port is lost."""
         try:
             with serial.Serial(self._url.target, self._baud, timeout=self._config.period_s, exclusive=True) as port:
                 self._was_open = True
@@ -103,6 +105,7 @@ class CanBus:
         self._signals = CanSignals(config.can)
 
     def readings(self) -> Readings:
+        """A measurement of each frame that carries a known signal. Raises ``OSError``: the interface is lost."""
         filters = [{"can_id": one, "can_mask": 0x1FFFFFFF} for one in self._signals.frame_ids]
         try:
             with self._can.Bus(channel=self._url.target, interface=self._config.interface, can_filters=filters) as bus:
@@ -134,6 +137,7 @@ class Imu:
         self._open_bus = open_bus or SmbusDevice
 
     def readings(self) -> Readings:
+        """The yaw rate in rad/s at the chip's own rate. Raises ``OSError``: the chip does not answer."""
         place = f"{self._chip.name} at 0x{self._address:02x} of I2C bus {self._bus_number}"
         try:
             bus = self._open_bus(self._bus_number, self._address)
@@ -211,6 +215,7 @@ class Encoder:
         self._channels = lines
 
     def readings(self) -> Readings:
+        """Speed in m/s and its sigma, 20 times a second or more. Raises ``OSError``: the lines are lost."""
         wheel = WheelEncoder(self._config.encoder, two=len(self._channels) == 2)
         rejected = {"bounced": 0, "missed": 0}
         try:

@@ -56,6 +56,7 @@ class DatedStatus(NamedTuple):
 
     @property
     def message(self) -> ServiceStatus:
+        """What the service said."""
         return self.received.message
 
     def is_fresh(self, now_s: float) -> bool:

@@ -40,6 +40,7 @@ class Pins(NamedTuple):
 
     @property
     def offsets(self) -> tuple[int, ...]:
+        """The lines in use, as numbers of the chip."""
         return (self.enable,) if self.full is None else (self.enable, self.full)
 
     def open(self) -> Lines:

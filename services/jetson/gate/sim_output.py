@@ -49,6 +49,7 @@ class SimulatedCar:
 
     @property
     def speed_mps(self) -> float:
+        """Speed of the simulated car, m/s."""
         return self._brakes.speed_mps
 
     def send(self, now_s: float, decision: Decision, verdict_seq: int) -> None:

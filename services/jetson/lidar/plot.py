@@ -91,6 +91,7 @@ class _Canvas:
         return np.column_stack([np.clip(column, -1e4, 1e4), np.clip(row, -1e4, 1e4)]).round().astype(int)
 
     def box(self, corners_m: list[tuple[float, float]], colour: tuple[int, int, int], width_px: int) -> None:
+        """Draw a closed polygon, or a line between two corners; corners in m, vehicle frame."""
         x, y = np.array(corners_m).T
         cv2.polylines(self.image, [self.at(x, y)], len(corners_m) > 2, colour, width_px, cv2.LINE_AA)
 

@@ -51,6 +51,7 @@ class Chip:
         return int.from_bytes(self._link.transfer(reg.read_command(address))[1:4], "big")
 
     def write(self, address: int, value: int) -> None:
+        """Set the content of a register."""
         self._link.transfer(reg.write_command(address, value))
 
     def burst(self, words: int) -> tuple[int, bytes]:

@@ -81,6 +81,7 @@ class Field:
 
     @property
     def mask(self) -> int:
+        """The field's bits within the register."""
         return ((1 << (self.msb - self.lsb + 1)) - 1) << self.lsb
 
     def of(self, registers: Mapping[int, int]) -> int:

@@ -30,6 +30,7 @@ class Moments:
     poses: tuple[Pose, ...]
 
     def at(self, t_s: float) -> Pose:
+        """The pose of the second in which ``t_s`` lies."""
         return self.poses[int(t_s) % len(self.poses)]
 
 
