@@ -8,7 +8,7 @@ from common.geometry import invert
 from common.stopwatch import Stopwatch
 from services.infra_lidar.calibration.monitor import CalibrationMonitor
 from services.infra_lidar.calibration.plane_fit import Calibration
-from services.infra_lidar.classification.classes import BACKGROUND
+from services.infra_lidar.classification.classes import BACKGROUND, UNKNOWN
 from services.infra_lidar.classification.classifier import Classifier
 from services.infra_lidar.clustering.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
@@ -138,8 +138,12 @@ def _checked(returns: Returns) -> Returns:
 
 
 def _road_users(clusters: ClusterSet, n: int) -> np.ndarray:
-    """(N,) float32: confidence that a point is of a road user, 0 where its cluster is background or none."""
-    sure, of_point = np.where(clusters.classes == BACKGROUND, 0.0, clusters.confidences), np.zeros(n, np.float32)
+    """(N,) float32: confidence that a point is of a road user, 0 where its cluster is background or none.
+
+    What is unknown may be one as well as not.
+    """
+    sure = np.where(clusters.classes == UNKNOWN, 0.5, clusters.confidences)
+    sure, of_point = np.where(clusters.classes == BACKGROUND, 0.0, sure), np.zeros(n, np.float32)
     of_point[clusters.members] = np.repeat(sure, clusters.counts)
     return of_point
 

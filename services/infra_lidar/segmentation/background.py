@@ -32,7 +32,7 @@ class BackgroundModel:
     intervals_m: (columns * rows, 4) float32, near and far end of two intervals of range in each cell of azimuth x ring.
     is_road: (columns * rows,) bool, the background there is road. background_ratio: share of the returns that were
     background in the last frame of the learning. surface: (rings, sectors, 3) float32, the road at the time, as in
-    ``ground.py``. static_map: (2, side, side) bool as in ``scene.StaticMap``, empty until it is drawn.
+    ``ground.py``. static_map: (2, side, side) bool as in ``static_map.MapCells``, empty until it is drawn.
     """
 
     intervals_m: np.ndarray
@@ -135,11 +135,10 @@ class Background:
 
     def learn(
         self, stamp_ns: int, returns: Returns, ground: np.ndarray, road_user: np.ndarray, surface: np.ndarray
-    ) -> np.ndarray | None:
+    ) -> None:
         """Add a whole frame of N returns; ground, road_user: (N,) bool. surface: the road, see ``ground.py``.
 
-        Builds the model when it has seen enough. Then it returns (N,) bool, the points where a road user often was;
-        before, None.
+        Builds the model when it has seen enough.
         """
         config = self._config
         if self._modes is None:
@@ -149,14 +148,10 @@ class Background:
         cell, range_m = locate(returns, self._grid)
         kernels.learn(cell, range_m, road_user, self._tolerance, self._modes)
         self._frames += 1
-        if self._frames < config.min_frames or stamp_ns - self._first_ns < config.learn_s * 1e9:
-            return None
-        is_return = cell != NO_RETURN
-        users = self._build_model(returns, np.unique(cell[ground & is_return]), surface)
-        return np.asarray(is_return & users[cell])
+        if self._frames >= config.min_frames and stamp_ns - self._first_ns >= config.learn_s * 1e9:
+            self._build_model(returns, np.unique(cell[ground & (cell != NO_RETURN)]), surface)
 
-    def _build_model(self, returns: Returns, road_cells: np.ndarray, surface: np.ndarray) -> np.ndarray:
-        """Make the model; returns (cells,) bool, those where a road user often was, and their neighbours."""
+    def _build_model(self, returns: Returns, road_cells: np.ndarray, surface: np.ndarray) -> None:
         assert self._modes is not None
         intervals_m, users = kernels.build_model(
             self._modes, self._grid, self._frames, self._config.min_share, self._tolerance
@@ -168,7 +163,6 @@ class Background:
         model = BackgroundModel(intervals_m, is_road, *self._grid, 1.0, surface)
         ratio = foreground_of(returns, model, 0.0).background_ratio
         self.model, self._modes = replace(model, background_ratio=ratio), None
-        return users
 
 
 def foreground_of(returns: Returns, model: BackgroundModel, near_m: float) -> Foreground:

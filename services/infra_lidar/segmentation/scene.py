@@ -11,56 +11,16 @@ from services.infra_lidar.calibration.monitor import CalibrationMonitor
 from services.infra_lidar.calibration.plane_fit import Calibration
 from services.infra_lidar.classification.classes import BACKGROUND
 from services.infra_lidar.clustering.clustering import ClusterPoints
-from services.infra_lidar.clustering.grid import CellGrid
-from services.infra_lidar.config import ClusteringConfig, InfraLidarConfig
+from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.input.range_image import Returns, count_of, points_of, sample_of
 from services.infra_lidar.segmentation.background import Background, BackgroundMask, BackgroundModel, Foreground
 from services.infra_lidar.segmentation.ground import Ground, Levelled, Obstacles
+from services.infra_lidar.segmentation.static_map import MapCells, Occupancy
 from services.infra_lidar.sensor_health import FrameStatistics
 
 MIN_SHARE = 0.6  # of a cluster's points that must lie within fixed things
-LOW, HIGH = 0, 1  # layers: below and above a body's height
 ROAD_USER_CONFIDENCE = 0.7  # a cluster of this confidence keeps its place from becoming background
 SAMPLE_EVERY = 13  # of the points; an odd step, so that every beam is among them
-
-
-class StaticMap:
-    """Draws and reads bird's-eye maps of fixed things, (2, side, side) bool, on the grid of the clusters."""
-
-    def __init__(self, config: ClusteringConfig, range_max_m: float) -> None:
-        self._grid = CellGrid(config, range_max_m)
-        self._body_m = config.body_height_m or np.inf
-
-    def fits(self, static_map: np.ndarray) -> bool:
-        """Whether a map is on this grid; an empty one is on any."""
-        side = self._grid.side
-        return not static_map.size or (static_map.shape == (2, side, side) and static_map.dtype == bool)
-
-    def draw(self, obstacles: Obstacles, road_user: np.ndarray) -> np.ndarray:
-        """The map of what stands in a whole frame of N points, without road_user (N,) bool, widened by a cell."""
-        points = obstacles.points[~road_user[obstacles.index]]
-        layer = np.where(points[:, 3] >= self._body_m, HIGH, LOW)
-        drawn = np.zeros((2, self._grid.side, self._grid.side), bool)
-        drawn[layer, *self._cells(points)] = True
-        wide = drawn.copy()
-        for axis in (1, 2):
-            for step in (-1, 1):
-                wide |= np.roll(drawn, step, axis)
-        return wide
-
-    def share_within(self, static_map: np.ndarray, clusters: ClusterPoints, ground_z_m: np.ndarray) -> np.ndarray:
-        """(K,) share of the points of each cluster within fixed things; ground_z_m: (K,) height of the road there."""
-        if not len(clusters):
-            return np.zeros(0)
-        counts = np.diff(clusters.offsets)
-        top_m = np.repeat(ground_z_m + self._body_m, counts)
-        layer = np.where(clusters.points[:, 2] >= top_m, HIGH, LOW)
-        within = static_map[layer, *self._cells(clusters.points)]
-        return np.asarray(np.add.reduceat(within, clusters.offsets[:-1], dtype=int) / counts)
-
-    def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Row and column (N,) of the grid for (N, 2+) x, y; places outside are in the outermost cells."""
-        return self._grid.cells(points[:, 0], points[:, 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +67,8 @@ class Scene:
         self._config = config
         self._monitor = monitor
         self.ground = Ground(config.ground, config.blindness.near_m)
-        self._static_map = StaticMap(config.clustering, config.ground.range_max_m)
+        self._map_cells = MapCells(config.clustering, config.ground.range_max_m)
+        self._occupancy = Occupancy(self._map_cells)
         self.background = Background(config.background, self._on_these_grids(stored))
         self._beams, self._sectors = 0, 0
         self._complete = True
@@ -136,16 +97,15 @@ class Scene:
         if not ready or segmentation.background_subtracted:
             return None
         if self.background.lost:
-            self.background.restart()
+            self.restart()
         if self.background.model is not None:
             return None
+        self._occupancy.add(segmentation.obstacles, road_user)
         is_road_user = road_user >= ROAD_USER_CONFIDENCE
-        users = self.background.learn(stamp_ns, returns, segmentation.ground, is_road_user, self.ground.surface)
-        if self.background.model is None or users is None:
+        self.background.learn(stamp_ns, returns, segmentation.ground, is_road_user, self.ground.surface)
+        if self.background.model is None:
             return None
-        may_drive_off = (road_user > 0.0) | users  # however unsure the class is
-        static_map = self._static_map.draw(segmentation.obstacles, may_drive_off)
-        self.background.model = replace(self.background.model, static_map=static_map)
+        self.background.model = replace(self.background.model, static_map=self._occupancy.static_map())
         foreground = self.background.subtract_background(returns, self._config.blindness.near_m)
         if foreground is None:
             return np.zeros(len(returns), bool)
@@ -160,18 +120,19 @@ class Scene:
         """
         model = self.background.model
         if segmentation.background_subtracted and model is not None and model.static_map.size:
-            share = self._static_map.share_within(model.static_map, clusters, ground_z_m)
+            share = self._map_cells.share_within(model.static_map, clusters, ground_z_m)
             classes[share >= MIN_SHARE] = BACKGROUND
 
     def restart(self) -> None:
         """Forget the background: the sensor has been moved or turned."""
         self.background.restart()
+        self._occupancy = Occupancy(self._map_cells)
 
     def _on_these_grids(self, stored: BackgroundModel | None) -> BackgroundModel | None:
         """A stored background, unless it was learned with other cells of the ground or of the clusters."""
         if stored is None or stored.surface.shape != self.ground.surface.shape:
             return None
-        return stored if self._static_map.fits(stored.static_map) else None
+        return stored if self._map_cells.fits(stored.static_map) else None
 
     def _subtract_background(self, returns: Returns) -> Foreground | None:
         if not self._config.background.enabled or not self._monitor.settled:

@@ -7,7 +7,8 @@ from services.infra_lidar.clustering.clustering import ClusterPoints
 from services.infra_lidar.clustering.grid import CellGrid
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.segmentation.ground import Obstacles
-from services.infra_lidar.segmentation.scene import MIN_SHARE, StaticMap
+from services.infra_lidar.segmentation.scene import MIN_SHARE
+from services.infra_lidar.segmentation.static_map import MapCells, Occupancy
 from tests.infra_lidar.made_clusters import solid
 
 CONFIG = ClusteringConfig()
@@ -27,8 +28,8 @@ def _clusters(points, counts):
 
 
 def _is_within(drawn, part):
-    share = StaticMap(CONFIG, 100.0).share_within(drawn, _clusters(part, [len(part)]), np.zeros(1, np.float32))
-    return share[0] >= MIN_SHARE
+    share = MapCells(CONFIG, 100.0).share_within(drawn, _clusters(part, [len(part)]), np.zeros(1, np.float32))
+    return bool(share[0] >= MIN_SHARE)
 
 
 HEDGE = solid(20, 0, 3, 12, 0.2, 2.0, 6000)
@@ -38,9 +39,16 @@ PARKED = solid(10, -10, 4, 1.8, 0.2, 1.5, 800)
 
 def _drawn():
     obstacles = _obstacles(HEDGE, CANOPY, PARKED)
-    road_user = np.zeros(len(obstacles), bool)
-    road_user[-len(PARKED) :] = True
-    return StaticMap(CONFIG, 100.0).draw(obstacles, road_user)
+    road_user = np.zeros(len(obstacles), np.float32)
+    road_user[-len(PARKED) :] = 0.9
+    return _map_of([obstacles], [road_user])
+
+
+def _map_of(frames, road_users):
+    occupancy = Occupancy(MapCells(CONFIG, 100.0))
+    for obstacles, road_user in zip(frames, road_users, strict=True):
+        occupancy.add(obstacles, road_user)
+    return occupancy.static_map()
 
 
 def test_a_piece_of_the_hedge_is_structure_and_a_person_before_it_is_not():
@@ -62,8 +70,30 @@ def test_what_was_a_road_user_is_not_drawn():
     assert not _is_within(_drawn(), PARKED)
 
 
+@pytest.mark.parametrize(
+    ("frames", "called_road_user", "fixed"),
+    [(10, 0, True), (10, 4, True), (10, 6, False), (10, 10, False), (4, 0, False), (6, 0, True), (6, 4, False)],
+)
+def test_fixed_is_what_stood_in_most_frames_and_was_mostly_called_background(frames, called_road_user, fixed):
+    bare, with_hedge = _obstacles(CANOPY), _obstacles(CANOPY, HEDGE)
+    calls = [(bare, 0.0)] * (10 - frames) + [(with_hedge, 1.0)] * called_road_user
+    calls += [(with_hedge, 0.0)] * (frames - called_road_user)
+    drawn = _map_of([o for o, _ in calls], [np.full(len(o.points), sure, np.float32) for o, sure in calls])
+    assert _is_within(drawn, solid(20, 2, 1.0, 1.0, 0.4, 1.8, 80, seed=1)) is fixed
+
+
+def test_leaves_that_return_from_other_places_in_every_frame_are_fixed():
+    frames = [_obstacles(solid(20, 0, 3, 12, 0.2, 2.0, 1500, seed=seed)) for seed in range(20)]
+    drawn = _map_of(frames, [np.zeros(len(frame.points), np.float32) for frame in frames])
+    assert _is_within(drawn, solid(20, 0, 2.8, 11, 0.3, 1.9, 200, seed=99))
+
+
+def test_before_the_first_frame_nothing_is_fixed():
+    assert not Occupancy(MapCells(CONFIG, 100.0)).static_map().any()
+
+
 def test_no_clusters():
-    share = StaticMap(CONFIG, 100.0).share_within(_drawn(), _clusters(np.zeros((0, 3)), []), np.zeros(0, np.float32))
+    share = MapCells(CONFIG, 100.0).share_within(_drawn(), _clusters(np.zeros((0, 3)), []), np.zeros(0, np.float32))
     assert share.shape == (0,)
 
 
@@ -83,7 +113,7 @@ def test_the_share_counts_the_points_on_marked_cells_of_their_layer(growth_m):
     layer = (points[:, 2] >= np.repeat(road_z_m + body_m, counts)).astype(int)
     hit = static_map[layer, np.clip(row, 0, side - 1), np.clip(column, 0, side - 1)]
     expected = [part.mean() for part in np.split(hit, np.cumsum(counts)[:-1])]
-    share = StaticMap(config, 100.0).share_within(static_map, _clusters(points, counts), road_z_m)
+    share = MapCells(config, 100.0).share_within(static_map, _clusters(points, counts), road_z_m)
     apart = np.abs(share - expected) * counts  # a point on the edge of a cell may go either way
     assert apart.max() < 1.5
     assert apart.mean() < 0.02
@@ -91,7 +121,7 @@ def test_the_share_counts_the_points_on_marked_cells_of_their_layer(growth_m):
 
 def test_a_map_of_other_cells_is_not_taken():
     drawn = _drawn()
-    assert StaticMap(CONFIG, 100.0).fits(drawn)
-    assert StaticMap(CONFIG, 100.0).fits(drawn[:, :0])
-    assert not StaticMap(CONFIG, 60.0).fits(drawn)
-    assert not StaticMap(CONFIG, 100.0).fits(drawn.astype(np.int32))
+    assert MapCells(CONFIG, 100.0).fits(drawn)
+    assert MapCells(CONFIG, 100.0).fits(drawn[:, :0])
+    assert not MapCells(CONFIG, 60.0).fits(drawn)
+    assert not MapCells(CONFIG, 100.0).fits(drawn.astype(np.int32))

@@ -1,0 +1,74 @@
+"""Where fixed things stand, seen from above: two layers of cells, below and above the height of a body.
+
+Leaves and rails return from other places in every frame, so no range of them is always the same. But the cells they
+stand in are, and the classifier takes them for background at least now and then, which it does not of a parked car.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.infra_lidar.clustering.clustering import ClusterPoints
+from services.infra_lidar.clustering.grid import CellGrid
+from services.infra_lidar.config import ClusteringConfig
+from services.infra_lidar.segmentation.ground import Obstacles
+
+LOW, HIGH = 0, 1  # layers: below and above a body's height
+STANDING_SHARE = 0.5  # of the frames: what stands in a cell less often is not fixed
+MAX_ROAD_USER = 0.5  # mean confidence that a cell is a road user's, from which on it is left out
+
+
+class MapCells:
+    """The cells of a static map, (2, side, side) bool, on the grid of the clusters."""
+
+    def __init__(self, config: ClusteringConfig, range_max_m: float) -> None:
+        self._grid = CellGrid(config, range_max_m)
+        self._body_m = config.body_height_m or np.inf
+        self.shape = 2, self._grid.side, self._grid.side
+
+    def fits(self, static_map: np.ndarray) -> bool:
+        """Whether a map is on this grid; an empty one is on any."""
+        return not static_map.size or (static_map.shape == self.shape and static_map.dtype == bool)
+
+    def cells(self, points: np.ndarray, road_z_m: np.ndarray | float) -> np.ndarray:
+        """(M,) int64 index into the flat map, of points (M, 3+) x, y, z (m) over a road at road_z_m, (M,) or one."""
+        layer = np.where(points[:, 2] >= road_z_m + self._body_m, HIGH, LOW)
+        row, column = self._grid.cells(points[:, 0], points[:, 1])
+        return np.asarray((layer * self._grid.side + row) * self._grid.side + column)
+
+    def share_within(self, static_map: np.ndarray, clusters: ClusterPoints, ground_z_m: np.ndarray) -> np.ndarray:
+        """(K,) share of the points of each cluster within fixed things; ground_z_m: (K,) height of the road there."""
+        if not len(clusters):
+            return np.zeros(0)
+        counts = np.diff(clusters.offsets)
+        within = static_map.ravel()[self.cells(clusters.points, np.repeat(ground_z_m, counts))]
+        return np.asarray(np.add.reduceat(within, clusters.offsets[:-1], dtype=int) / counts)
+
+
+class Occupancy:
+    """What stood in the cells of a static map while the background was learned."""
+
+    def __init__(self, cells: MapCells) -> None:
+        self._cells, self._frames = cells, 0
+        size = int(np.prod(cells.shape))
+        self._occupied, self._road_user = np.zeros(size, np.uint32), np.zeros(size, np.float32)
+
+    def add(self, obstacles: Obstacles, road_user: np.ndarray) -> None:
+        """Count a whole frame of N points; road_user: (N,) float32 confidence that a point is of a road user."""
+        points = obstacles.points[:, [0, 1, 3]]  # the last is the height above the local road
+        cells, cell_of_point = np.unique(self._cells.cells(points, 0.0), return_inverse=True)
+        confidence = np.zeros(len(cells), np.float32)
+        np.maximum.at(confidence, cell_of_point, road_user[obstacles.index])
+        self._occupied[cells] += 1
+        self._road_user[cells] += confidence
+        self._frames += 1
+
+    def static_map(self) -> np.ndarray:
+        """(2, side, side) bool: what was there in most frames and hardly a road user, widened by a cell."""
+        stood = self._occupied >= max(STANDING_SHARE * self._frames, 1.0)
+        fixed = (stood & (self._road_user < MAX_ROAD_USER * self._occupied)).reshape(self._cells.shape)
+        wide = fixed.copy()
+        for axis in (1, 2):
+            for step in (-1, 1):
+                wide |= np.roll(fixed, step, axis)
+        return wide
