@@ -8,7 +8,8 @@ it be (``RadarTrack.beside_m``). The lidar sees both pillars and the room betwee
 An alarm of a standing radar track is set aside when, at once,
 
 - the vehicle drives, and the lidar is online and sees the whole way free, up to the track and beyond;
-- it sees something on either side of the way, as far from the radar as the track;
+- it sees something on either side of the way, as far from the radar as the track, or a row there, as of parked cars,
+  that goes on from nearer to farther: its rays meet a row at a flat angle and miss the corners that reflect;
 - and each of these may be the echo by its speed.
 
 Where the speed says that the track is beside the way by half its distance and more, nothing has to be seen there: what
@@ -39,6 +40,7 @@ from services.jetson.fusion.readings import track_sighting
 
 NEARER_M, FARTHER_M = 0.4, 0.7  # a track's range is that of a body's nearest part: what reflects is up to 0.6 m behind
 BESIDE_M = 0.1  # how well a place beside the way is known
+ALONG_M, ACROSS_M, MISSED = 2.0, 0.3, 1  # rays of a row end no farther apart, with one sector between them at the most
 SHOWN_S = 0.5
 FAR_BESIDE = 0.5  # of its distance; it comes nearer 13 per cent more slowly than what is ahead
 EARLY_S = 0.75  # before it has to brake the vehicle sees it with both
@@ -71,9 +73,9 @@ class AbreastWatch:
         if motion is None or not is_driving(motion, self._config) or cover is None or radar is None or not alarms:
             return None
         path = Path(self._config, motion)
-        points = _returns(cover, path, seen.lidar_age_s - seen.radar_age_s)
+        points, sectors = _returns(cover, path, seen.lidar_age_s - seen.radar_age_s)
         in_way = path.contains(*path.locate(points))
-        flanks = _flanks(points[~in_way], radar, path)
+        flanks = _with_rows(_flanks(points[~in_way], radar, path), sectors[~in_way])
         free_m = _free_m(cover, path) + self._config.front_m - radar.x_m
         may_be = [track for track in alarms if track.beside_m is not None and track.range_m + FARTHER_M <= free_m]
         now_ns = seen.radar.stamp_ns
@@ -96,13 +98,13 @@ class AbreastWatch:
         return Abreast(level, tuple(map(track_sighting, rest)), first.level, round(first.range_m, 2))
 
 
-def _returns(cover: Cover, path: Path, age_s: float) -> np.ndarray:
-    """(N, 2) where the lidar's rays end, carried on to the time of the radar's measurement."""
+def _returns(cover: Cover, path: Path, age_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 2) where the lidar's rays end, carried on to the time of the radar's measurement, and (N,) their sectors."""
     far_m = np.array(cover.far_m)
     bearing = cover.first_rad + (np.arange(len(far_m)) + 0.5) * cover.step_rad
     returned = (far_m > 0.0) & (far_m < far_m.max(initial=0.0))  # the farthest are those without a return
     points = np.column_stack([cover.x_m + far_m * np.cos(bearing), cover.y_m + far_m * np.sin(bearing)])[returned]
-    return carried(points, path.motion, np.full(len(points), age_s))
+    return carried(points, path.motion, np.full(len(points), age_s)), np.flatnonzero(returned)
 
 
 def _flanks(points: np.ndarray, radar: Cover, path: Path) -> np.ndarray:
@@ -111,6 +113,15 @@ def _flanks(points: np.ndarray, radar: Cover, path: Path) -> np.ndarray:
     course_rad = math.atan2(motion.yaw_rate_radps * radar.x_m, motion.speed_mps - motion.yaw_rate_radps * radar.y_m)
     aside = math.cos(course_rad) * offset[:, 1] - math.sin(course_rad) * offset[:, 0]
     return np.column_stack([np.hypot(offset[:, 0], offset[:, 1]), aside])
+
+
+def _with_rows(flanks: np.ndarray, sectors: np.ndarray) -> np.ndarray:
+    """Flanks (N, 2) in the order of their sectors (N,), and places between neighbours that belong to one row."""
+    apart = np.abs(np.diff(flanks, axis=0))
+    in_row = (apart[:, 0] <= ALONG_M) & (apart[:, 1] <= ACROSS_M) & (np.diff(sectors) <= MISSED + 1)
+    in_row &= np.sign(flanks[1:, 1]) == np.sign(flanks[:-1, 1])
+    first, second = flanks[:-1][in_row], flanks[1:][in_row]
+    return np.concatenate([flanks, *((1 - share) * first + share * second for share in (0.25, 0.5, 0.75))])
 
 
 def _free_m(cover: Cover, path: Path) -> float:

@@ -167,6 +167,29 @@ def test_how_far_off_the_echo_the_posts_may_be(range_m: float, beside_m: tuple[f
     assert (left_over(told, lidar(POST, (POST[0], -POST[1]))) is not None) == aside
 
 
+NEAR, FAR = (3.3, 1.0), (4.75, 1.0)  # where rays end on the left of a row, one sector between them
+
+
+@pytest.mark.parametrize(
+    ("near", "far", "aside"),
+    [
+        (NEAR, FAR, True),
+        (NEAR, (5.1, 1.0), False),  # two sectors between them
+        ((2.7, 1.0), FAR, False),  # the same
+        (NEAR, (4.75, 1.35), False),  # not in one line
+        (NEAR, (4.75, -1.0), False),  # it is the right's
+        (NEAR, NEAR, False),  # nothing farther
+    ],
+)
+def test_an_echo_may_come_from_between_the_rays_of_a_row(
+    near: tuple[float, float], far: tuple[float, float], aside: bool
+) -> None:
+    """3.8 m from the radar; the right row is seen 3.3, 3.8 and 4.7 m away."""
+    told = radar(track(range_m=3.8, beside_m=(0.6, 1.4)))
+    right = ((3.3, -1.0), (3.87, -1.0), (4.75, -1.0))
+    assert (left_over(told, lidar(*right, near, far)) is not None) == aside
+
+
 def test_in_a_curve_the_sides_are_those_of_the_line_of_travel() -> None:
     """In a left turn the radar, ahead of the axle, drifts to the left: at 3 m by 9 cm. One post is 5 cm left of x."""
     posts, told = lidar((3.2, 0.05), (3.1, 1.25)), radar(track(beside_m=(0.0, 1.2)))
