@@ -30,7 +30,7 @@ from services.infra_lidar.training.varied import generated_clusters
 from services.infra_lidar.training.varied_streets import varied_street_clusters
 
 BODY_WEIGHT = 0.6  # of a single body against a cluster of a street: bodies are of no street's shares
-BACKGROUND_WEIGHT = 0.6  # whole frames are two thirds background; most of it is subtracted once the scene is learned
+BACKGROUND_WEIGHT = 0.5  # whole frames are two thirds background; most of it is subtracted once the scene is learned
 VARIED_SEED = 29_000  # added for streets of varied bodies: no two streets have one plan
 _BACKGROUND = 2  # generated fixtures per body of any class: the street has more kinds of things than of road users
 _FRAMES, _VIEWS = 2, 3  # of a street and of one with varied bodies
