@@ -116,12 +116,11 @@ def _flanks(points: np.ndarray, radar: Cover, path: Path) -> np.ndarray:
 
 
 def _with_rows(flanks: np.ndarray, sectors: np.ndarray) -> np.ndarray:
-    """Flanks (N, 2) in the order of their sectors (N,), and places between neighbours that belong to one row."""
+    """Flanks (N, 2) in the order of their sectors (N,), and the middles between neighbours that belong to one row."""
     apart = np.abs(np.diff(flanks, axis=0))
     in_row = (apart[:, 0] <= ALONG_M) & (apart[:, 1] <= ACROSS_M) & (np.diff(sectors) <= MISSED + 1)
     in_row &= np.sign(flanks[1:, 1]) == np.sign(flanks[:-1, 1])
-    first, second = flanks[:-1][in_row], flanks[1:][in_row]
-    return np.concatenate([flanks, *((1 - share) * first + share * second for share in (0.25, 0.5, 0.75))])
+    return np.concatenate([flanks, 0.5 * (flanks[:-1] + flanks[1:])[in_row]])
 
 
 def _free_m(cover: Cover, path: Path) -> float:

@@ -167,27 +167,41 @@ def test_how_far_off_the_echo_the_posts_may_be(range_m: float, beside_m: tuple[f
     assert (left_over(told, lidar(POST, (POST[0], -POST[1]))) is not None) == aside
 
 
-NEAR, FAR = (3.3, 1.0), (4.75, 1.0)  # where rays end on the left of a row, one sector between them
+def in_sector(sector: int, aside_m: float) -> tuple[float, float]:
+    """Where the ray in the middle of a sector ends on a line beside the way."""
+    bearing = -math.pi / 2 + (sector + 0.5) * math.pi / SECTORS
+    return LIDAR_X_M + aside_m / math.tan(bearing), aside_m
+
+
+RIGHT_ROW = tuple(in_sector(SECTORS - 1 - sector, -1.0) for sector in (52, 51, 50, 49, 48))
 
 
 @pytest.mark.parametrize(
-    ("near", "far", "aside"),
+    ("range_m", "near", "far", "aside"),
     [
-        (NEAR, FAR, True),
-        (NEAR, (5.1, 1.0), False),  # two sectors between them
-        ((2.7, 1.0), FAR, False),  # the same
-        (NEAR, (4.75, 1.35), False),  # not in one line
-        (NEAR, (4.75, -1.0), False),  # it is the right's
-        (NEAR, NEAR, False),  # nothing farther
+        (4.3, (52, 1.0), (50, 1.0), True),  # one sector between the two rays, 3.8 and 5.1 m away
+        (4.3, (53, 1.0), (50, 1.0), False),  # two
+        (7.0, (49, 1.0), (48, 1.02), True),  # 1.99 m apart
+        (7.0, (49, 1.0), (48, 1.026), False),  # 2.02 m
+        (4.1, (52, 0.9), (51, 1.19), True),  # by 0.29 m not in line
+        (4.1, (52, 0.9), (51, 1.21), False),  # by 0.31 m
+        (4.3, (52, 1.0), (90 - 1 - 50, -1.0), False),  # the far one is the right's
+        (4.3, (52, 1.0), (52, 1.0), False),  # nothing farther
     ],
 )
 def test_an_echo_may_come_from_between_the_rays_of_a_row(
-    near: tuple[float, float], far: tuple[float, float], aside: bool
+    range_m: float, near: tuple[int, float], far: tuple[int, float], aside: bool
 ) -> None:
-    """3.8 m from the radar; the right row is seen 3.3, 3.8 and 4.7 m away."""
-    told = radar(track(range_m=3.8, beside_m=(0.6, 1.4)))
-    right = ((3.3, -1.0), (3.87, -1.0), (4.75, -1.0))
-    assert (left_over(told, lidar(*right, near, far)) is not None) == aside
+    told = radar(track(range_m=range_m, beside_m=(0.6, 0.95)))
+    seen = lidar(*RIGHT_ROW, in_sector(*near), in_sector(*far), reach_m=12.0)
+    assert (left_over(told, seen) is not None) == aside
+
+
+@pytest.mark.parametrize(("least_m", "aside"), [(1.96, True), (1.94, False)])
+def test_far_beside_is_measured_from_the_way_which_may_curve(least_m: float, aside: bool) -> None:
+    """Half of its 3 m; an arc of 10 m leads off the line of travel by 0.45 m there."""
+    told = radar(track(range_m=3.0, beside_m=(least_m, 3.0)))
+    assert (left_over(told, lidar(), Motion(2.0, 0.2)) is not None) == aside
 
 
 def test_in_a_curve_the_sides_are_those_of_the_line_of_travel() -> None:
