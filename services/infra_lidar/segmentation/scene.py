@@ -68,7 +68,7 @@ class Scene:
         self._monitor = monitor
         self.ground = Ground(config.ground, config.blindness.near_m)
         self._map_cells = MapCells(config.clustering, config.ground.range_max_m)
-        self._occupancy = Occupancy(self._map_cells)
+        self._occupancy: Occupancy | None = None  # while the background is learned
         self.background = Background(config.background, self._on_these_grids(stored))
         self._beams, self._sectors = 0, 0
         self._complete = True
@@ -100,12 +100,14 @@ class Scene:
             self.restart()
         if self.background.model is not None:
             return None
+        self._occupancy = self._occupancy or Occupancy(self._map_cells)
         self._occupancy.add(segmentation.obstacles, road_user)
         is_road_user = road_user >= ROAD_USER_CONFIDENCE
         self.background.learn(stamp_ns, returns, segmentation.ground, is_road_user, self.ground.surface)
         if self.background.model is None:
             return None
         self.background.model = replace(self.background.model, static_map=self._occupancy.static_map())
+        self._occupancy = None
         foreground = self.background.subtract_background(returns, self._config.blindness.near_m)
         if foreground is None:
             return np.zeros(len(returns), bool)
@@ -126,7 +128,7 @@ class Scene:
     def restart(self) -> None:
         """Forget the background: the sensor has been moved or turned."""
         self.background.restart()
-        self._occupancy = Occupancy(self._map_cells)
+        self._occupancy = None
 
     def _on_these_grids(self, stored: BackgroundModel | None) -> BackgroundModel | None:
         """A stored background, unless it was learned with other cells of the ground or of the clusters."""
