@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
@@ -70,12 +71,25 @@ def prove(
         return results
     found: dict[int, Result] = {}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_end_with_parent) as pool:
         waiting = {pool.submit(prove_case, case, pictures): i for i, case in enumerate(cases)}
         for done in as_completed(waiting):
             found[waiting[done]] = done.result()
             told(done.result())
     return [found[i] for i in range(len(cases))]
+
+
+def _end_with_parent() -> None:
+    """In a worker: end when the parent was killed. The queue says nothing of it, its other end is open in here too."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+
+        def watch() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=watch, name="parent", daemon=True).start()
 
 
 def as_json(results: list[Result]) -> list[dict[str, object]]:
