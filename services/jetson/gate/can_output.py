@@ -83,6 +83,7 @@ class CanOutput:
         self._backoff, self._retry_s = Backoff(FIRST_PAUSE_S, LONGEST_PAUSE_S), 0.0
 
     def send(self, now_s: float, decision: Decision, verdict_seq: int) -> None:
+        """Send the decision as one CAN frame; an interface that is away is opened again in time."""
         if self._bus is None and not self._reopen(now_s):
             return
         self._seq = (self._seq + 1) & 0xFF

@@ -92,6 +92,7 @@ class PulseOutput:
         self._backoff, self._retry_s = Backoff(FIRST_PAUSE_S, LONGEST_PAUSE_S), 0.0
 
     def send(self, now_s: float, decision: Decision, verdict_seq: int) -> None:
+        """Set the lines; the enable line changes its level while the vehicle may move."""
         if self._lines is None and not self._reopen(now_s):
             return
         assert self._lines is not None

@@ -89,6 +89,7 @@ class FramedOutput:
         self._told: list[tuple[float, int]] = []  # what it was told lately: (time, rank)
 
     def send(self, now_s: float, decision: Decision, verdict_seq: int) -> None:
+        """Send the decision as one frame and take what the actuator answers."""
         if self._port is None and not self._reopen(now_s):
             return
         assert self._port is not None
@@ -103,6 +104,7 @@ class FramedOutput:
         self.listen(now_s)
 
     def listen(self, now_s: float) -> None:
+        """Take the actuator's reports; one that is silent for too long counts as lost."""
         if self._port is None:
             return
         try:
@@ -115,6 +117,7 @@ class FramedOutput:
             self._lose(now_s, f"{self.url}: the actuator has not answered for {silent_s:.1f} s")
 
     def fault(self, now_s: float) -> str:
+        """Why the actuator does not do what it is told: away, silent, stopped by itself, or more than allowed."""
         if self._port is None:
             return self._lost
         if not self._reports:

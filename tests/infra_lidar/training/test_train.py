@@ -66,7 +66,8 @@ def test_values_on_a_threshold_go_the_same_way() -> None:
 def test_a_small_forest_learns_the_generated_bodies(clusters: LabelledClusters, tmp_path: Path) -> None:
     forest = train_forest(clusters, "shape", {"source": "test"}, ForestSettings(trees=15, max_leaves=60))
     counts = np.bincount(clusters.labels, minlength=len(CLASSES)).tolist()
-    assert sum(counts) == 30 * len(CLASSES)  # an animal is labelled by lot
+    assert sum(counts) == 30 * len(CLASSES)
+    assert all(abs(count - 30) <= 2 for count in counts)  # an animal is labelled by lot
     assert forest.provenance["clusters"] == dict(zip(CLASSES, counts, strict=True))
     fresh = generated_clusters(seed=6, per_class=20)
     x = compute_features(fresh.points, fresh.offsets, fresh.ground_z_m, forest.features)
