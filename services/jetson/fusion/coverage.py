@@ -7,7 +7,8 @@ part that begins nearer than the stopping distance makes the verdict at least CA
 at which the vehicle would stop within what is covered.
 
 A lidar sees what crosses its plane and a camera what its network knows: a low box or a pane is neither. While no sensor
-that sees obstacles of every kind is online, the same rule holds above ``rules.partial_mps``. Pure.
+that sees obstacles of every kind is online, the same rule holds above ``rules.partial_mps``. It also holds for a
+vehicle that passes a place too fast where somebody may stand unseen (``hidden.py``). Pure.
 """
 
 from __future__ import annotations
@@ -21,11 +22,13 @@ import numpy as np
 from common.messages import Cover, Motion, Uncovered, WayAhead
 from common.path import Path, PathConfig, is_driving, safe_speed_mps
 from common.topics import spoken
+from services.jetson.fusion.config import RulesConfig
+from services.jetson.fusion.hidden import cover_far_m, nearest_hidden_m, pass_speed_mps
 
 CELL_M = 0.1  # along the way
 ACROSS = 5  # cells over its width
 REACH_M = 12.0  # nothing farther is asked for
-PARTIAL_ROOM = 1.1  # a vehicle that keeps to a speed is measured a little faster now and then
+LIMIT_ROOM = 1.1  # a vehicle that keeps to a speed is measured a little faster now and then
 NEAR_M = 0.6  # a cone from the bumper is narrower than the vehicle up to here
 
 
@@ -35,9 +38,9 @@ class Coverage(NamedTuple):
     way: WayAhead
     covered_m: float | None  # from the bumper, all cells up to there are seen; ``REACH_M`` at most
     uncovered: tuple[Uncovered, ...]  # up to the stopping distance, or to 3 m while less is needed
-    max_safe_speed_mps: float | None  # stops within ``covered_m``, and no more than ``partial_mps`` where that counts
-    partial: str = ""  # which obstacles alone are seen; empty = every kind, or ``covered_m`` is None
-    too_fast: bool = False  # for seeing only these
+    max_safe_speed_mps: float | None  # stops within ``covered_m``, and no more than the limit where there is one
+    limited_by: str = ""  # why there is a limit of its own to the speed, in words
+    too_fast: bool = False  # for that limit
 
     @property
     def falls_short(self) -> bool:
@@ -69,7 +72,7 @@ def cover_way(
     config: PathConfig,
     covers: Mapping[str, Cover | None],
     out: Mapping[str, str],
-    partial_mps: float = math.inf,
+    rules: RulesConfig,
 ) -> Coverage:
     """Lay the sensors' covers over the way.
 
@@ -77,7 +80,7 @@ def cover_way(
         motion: of the vehicle, None = unknown.
         covers: by sensor, of those that are online; None = it does not say, and covers nothing.
         out: the states of the sensors that are not online, by name.
-        partial_mps: how fast to drive while only obstacles of some kinds are seen.
+        rules: how fast to drive while only obstacles of some kinds are seen, and past places that are out of sight.
     """
     path, way = way_ahead(motion, config)
     if all(cover is None for cover in covers.values()):
@@ -95,11 +98,23 @@ def cover_way(
         Uncovered(from_m=round(begin * CELL_M, 2), to_m=round(end * CELL_M, 2), why=why_not(covers, out))
         for begin, end in runs(~needed)
     )
-    partial = partial_sight(covers)
-    limit_mps = partial_mps if partial else math.inf
-    too_fast = motion is not None and motion.speed_mps > PARTIAL_ROOM * limit_mps
+    limit_mps, limited_by = limit(path, covers, covered_m, rules)
+    too_fast = motion is not None and motion.speed_mps > LIMIT_ROOM * limit_mps
     safe_mps = round(min(safe_speed_mps(covered_m, config), limit_mps), 2)
-    return Coverage(way, covered_m, gaps, safe_mps, partial, too_fast)
+    return Coverage(way, covered_m, gaps, safe_mps, limited_by, too_fast)
+
+
+def limit(path: Path, covers: Mapping[str, Cover | None], covered_m: float, rules: RulesConfig) -> tuple[float, str]:
+    """The speed to keep to although the way is free, m/s, and why; infinite where there is no reason."""
+    found = [(math.inf, "")]
+    partial = partial_sight(covers)
+    if partial:
+        found.append((rules.partial_mps, f"low boxes and panes go unseen ({partial})"))
+    hidden_m = nearest_hidden_m(path, covers.values(), covered_m)
+    if hidden_m is not None:
+        limit_mps = pass_speed_mps(hidden_m, path.config, rules.hidden_stop_s)
+        found.append((limit_mps, f"somebody may stand unseen beside the way {hidden_m:.1f} m ahead"))
+    return min(found)
 
 
 def partial_sight(covers: Mapping[str, Cover | None]) -> str:
@@ -129,16 +144,8 @@ def sees(cover: Cover, cells: np.ndarray) -> np.ndarray:
     x, y = cells[:, 0] - cover.x_m, cells[:, 1] - cover.y_m
     range_m = np.hypot(x, y)
     near = (range_m <= max(cover.near_m, NEAR_M)) & (x > 0.0)
-    sees_ahead = bool(_far_m(cover, np.zeros(())) > 0.0)
-    return np.asarray(np.where(near, sees_ahead, _far_m(cover, np.arctan2(y, x)) >= range_m))
-
-
-def _far_m(cover: Cover, bearing_rad: np.ndarray) -> np.ndarray:
-    """(N,) how far the sensor could have seen in each of these directions; 0 where it does not look."""
-    far_m = np.array(cover.far_m)
-    sector = np.floor((bearing_rad - cover.first_rad) / cover.step_rad + 1e-9).astype(np.int64)
-    inside = (sector >= 0) & (sector < len(far_m))
-    return np.asarray(np.where(inside, far_m[np.clip(sector, 0, len(far_m) - 1)], 0.0))
+    sees_ahead = bool(cover_far_m(cover, np.zeros(())) > 0.0)
+    return np.asarray(np.where(near, sees_ahead, cover_far_m(cover, np.arctan2(y, x)) >= range_m))
 
 
 def runs(flags: np.ndarray) -> list[tuple[int, int]]:

@@ -190,7 +190,7 @@ class FusionPipeline:
                 covers[name] = getattr(frame.received.message, "cover", None)
             else:
                 out[name] = state
-        return cover_way(_motion_of(vehicle), self._config.path, covers, out, self._config.rules.partial_mps)
+        return cover_way(_motion_of(vehicle), self._config.path, covers, out, self._config.rules)
 
 
 def _motion_of(vehicle: Vehicle) -> Motion | None:

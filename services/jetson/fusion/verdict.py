@@ -215,7 +215,7 @@ def floors(inputs: FusionInputs, rules: RulesConfig) -> list[Demand]:
 def uncovered_words(coverage: Coverage) -> str:
     """Where nothing was seen and why, and at which speed it would not matter."""
     if coverage.covered_m is None or coverage.covered_m >= coverage.way.stopping_m:
-        return f"low boxes and panes go unseen ({coverage.partial}); safe up to {coverage.max_safe_speed_mps:.1f} m/s"
+        return f"{coverage.limited_by}; safe up to {coverage.max_safe_speed_mps:.1f} m/s"
     gap = coverage.uncovered[0]
     return (
         f"nobody sees the way beyond {coverage.covered_m:.1f} m ({gap.why}), and stopping takes "

@@ -35,7 +35,7 @@ def fan(far_m: list[float], half_deg: float = 90.0, **fields: Any) -> Cover:
 
 
 def covered(motion: Motion | None, *covers: Cover, out: dict[str, str] | None = None) -> Coverage:
-    return cover_way(motion, PATH, {f"sensor{i}": cover for i, cover in enumerate(covers)}, out or {})
+    return cover_way(motion, PATH, {f"sensor{i}": cover for i, cover in enumerate(covers)}, out or {}, RulesConfig())
 
 
 def decided(coverage: Coverage | None, rules: RulesConfig | None = None, **fields: Any) -> Any:
@@ -100,7 +100,11 @@ def test_gaps_are_named_with_their_reason() -> None:
     assert gap.to_m == 3.0
     assert gap.why == "camera degraded; sensor0: dirt"
     assert covered(Motion(2.0), cone(20.0, 1.05)).uncovered[0].why == "beyond what the sensors cover"
-    assert cover_way(Motion(2.0), PATH, {"a": None, "b": cone(20.0, 1.0)}, {}).uncovered[0].why.startswith("a does not")
+    assert (
+        cover_way(Motion(2.0), PATH, {"a": None, "b": cone(20.0, 1.0)}, {}, RulesConfig())
+        .uncovered[0]
+        .why.startswith("a does not")
+    )
 
 
 @pytest.mark.parametrize(
@@ -154,7 +158,7 @@ def test_what_a_sensor_sees_comes_first() -> None:
 
 
 def test_without_any_word_on_covers_nothing_is_said() -> None:
-    silent = cover_way(Motion(2.0), PATH, {"lidar": None}, {"radar": "disconnected"})
+    silent = cover_way(Motion(2.0), PATH, {"lidar": None}, {"radar": "disconnected"}, RulesConfig())
     assert silent.covered_m is None
     assert not silent.falls_short
     assert decided(silent).covered_m is None
@@ -178,7 +182,7 @@ def test_while_some_obstacles_go_unseen_only_slow_driving_is_safe(
     speed_mps: float, covers: tuple[Cover, ...], fast: bool, safe_mps: float | None
 ) -> None:
     named = dict(zip(("lidar", "camera"), covers, strict=True))
-    found = cover_way(Motion(speed_mps), PATH, named, {"radar": "disconnected"}, 1.0)
+    found = cover_way(Motion(speed_mps), PATH, named, {"radar": "disconnected"}, RulesConfig())
     assert (found.too_fast, found.falls_short) == (fast, fast)
     if safe_mps is not None:
         assert found.max_safe_speed_mps == safe_mps
@@ -191,7 +195,7 @@ def test_while_some_obstacles_go_unseen_only_slow_driving_is_safe(
 
 def test_a_way_that_is_too_short_comes_before_what_goes_unseen() -> None:
     short = cone(20.0, 1.05, only="what crosses its plane")
-    found = cover_way(Motion(2.0), PATH, {"lidar": short}, {}, 1.0)
+    found = cover_way(Motion(2.0), PATH, {"lidar": short}, {}, RulesConfig())
     assert decided(found).because.startswith("nobody sees the way beyond 1.0 m")
 
 
