@@ -90,7 +90,7 @@ class Verdict(Message, kw_only=True):
     claims: list[VerdictClaim] = msgspec.field(default_factory=list)  # alarms that are kept, seen now or not
     covered_m: NotNegative | None = None  # of the way ahead seen, from the bumper; None = no sensor says what it covers
     uncovered: list[Uncovered] = msgspec.field(default_factory=list)
-    max_safe_speed_mps: NotNegative | None = None  # from which the vehicle stops within ``covered_m``
+    max_safe_speed_mps: NotNegative | None = None  # stops within ``covered_m``; less past hidden places
     way: WayAhead | None = None
 
 
