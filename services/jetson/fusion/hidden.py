@@ -39,7 +39,7 @@ def nearest_hidden_m(path: Path, covers: Iterable[Cover | None], up_to_m: float)
     rows, first_m = int(up_to_m / CELL_M + 1e-9), math.inf
     if rows < _PERSON_CELLS:
         return None
-    for cells in _both_sides(path, rows):
+    for cells in beside(path, rows):
         hidden = np.zeros(len(cells), bool)
         for cover in covers:
             if cover is not None and cover.standing:
@@ -83,12 +83,12 @@ def cover_far_m(cover: Cover, bearing_rad: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(inside, far_m[np.clip(sector, 0, len(far_m) - 1)], 0.0))
 
 
-def _both_sides(path: Path, rows: int) -> list[np.ndarray]:
-    """(rows * K, 2) places on the left and on the right of the way, from its edge outwards."""
+def beside(path: Path, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """(rows * K, 2) places in the vehicle's frame on the left and on the right of the way, from its edge outwards."""
     ahead = (np.arange(rows) + 0.5) * CELL_M
     aside = np.arange(CELL_M / 2, ROOM_M + PERSON_M, CELL_M)
-    along, beside = (grid.ravel() for grid in np.meshgrid(ahead, aside, indexing="ij"))
-    return [path.place(along, path.left_m + beside), path.place(along, -path.right_m - beside)]
+    along, across = (grid.ravel() for grid in np.meshgrid(ahead, aside, indexing="ij"))
+    return path.place(along, path.left_m + across), path.place(along, -path.right_m - across)
 
 
 def _first_place_m(hidden: np.ndarray) -> float:
