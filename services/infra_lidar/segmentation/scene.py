@@ -19,7 +19,7 @@ from services.infra_lidar.segmentation.static_map import MapCells, Occupancy
 from services.infra_lidar.sensor_health import FrameStatistics
 
 MIN_SHARE = 0.6  # of a cluster's points that must lie within fixed things
-ROAD_USER_CONFIDENCE = 0.7  # a cluster of this confidence keeps its place from becoming background
+ROAD_USER_CONFIDENCE = 0.5  # a cluster that may be a road user keeps its place from becoming background; unknown is 0.5
 SAMPLE_EVERY = 13  # of the points; an odd step, so that every beam is among them
 
 

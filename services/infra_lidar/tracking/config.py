@@ -44,7 +44,7 @@ class TrackingConfig(Section, frozen=True, kw_only=True):
     # confidence per class
     vote_s: Positive = 3.0  # time constant of the class votes
     vote_margin: Share = 0.0  # by how much another class must lead before the label changes
-    min_vote: Share = 0.4  # a class needs this share of the votes, or the track is "unknown"
+    min_vote: Share = 0.5  # a class needs this share of the votes, or the track is "unknown"
     movement_m: NotNegative = 0.5  # a track stands until it has moved this far within movement_s; 0 = all move
     movement_s: Positive = 1.0
     split_groups: bool = True  # split a cluster of people where the tracks of its members are predicted (article)

@@ -58,7 +58,7 @@ MEMORY_TESTS = (
 TESTS: dict[str, tuple[str, ...]] = {
     "verdict": RULE_TESTS,
     "evidence": RULE_TESTS,
-    "config": RULE_TESTS,
+    "config": (*RULE_TESTS, "test_hidden.py", "test_config.py"),
     "coverage": ("test_coverage.py", "test_hidden.py"),
     "hidden": ("test_hidden.py",),
     "abreast": ("test_abreast.py",),
