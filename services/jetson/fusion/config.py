@@ -63,9 +63,7 @@ class RulesConfig(Section, frozen=True, kw_only=True):
     half_width_m: Metres = 0.4  # the vehicle and some room: a place farther beside is off the way
     abreast: bool = True  # driving: no alarm for one echo of two things beside a way that the lidar sees free (R10)
     partial_mps: Annotated[float, Meta(gt=0.0, le=50.0)] = 1.0  # with no sensor that sees obstacles of every kind (V1)
-    hidden_stop_s: Annotated[float, Meta(gt=0.0, le=10.0)] = (
-        1.0  # past what may hide somebody: brakes to rest within (V1)
-    )
+    hidden_stop_s: Annotated[float, Meta(gt=0.0, le=10.0)] = 1.0  # to brake to rest past what may hide somebody (V1)
     coverage: Literal["off", "report", "floor"] = "floor"  # what was not seen: unsaid, said, or at least CAUTION (V1)
 
 

@@ -10,7 +10,7 @@ may come. Pure.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection
 
 import numpy as np
 
@@ -24,7 +24,7 @@ _PERSON_CELLS = round(PERSON_M / CELL_M)
 BEHIND_M = (0.1, 1.0)  # whoever hides stands close behind: the shadow of a post is wide only far behind it
 
 
-def nearest_hidden_m(path: Path, covers: Iterable[Cover | None], up_to_m: float) -> float | None:
+def nearest_hidden_m(path: Path, covers: Collection[Cover | None], up_to_m: float) -> float | None:
     """How far ahead of the bumper the first place beside the way begins that could hide a person.
 
     Args:
