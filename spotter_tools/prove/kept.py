@@ -15,6 +15,7 @@ KEPT = (
     "pedestrian from far, 50 %, 3 m/s",
     "pedestrian from far, 25 %, 5.5 m/s, cart, rain",
     "child behind a parked car, 2 m/s",
+    "child behind a parked car, 5 m/s",
     "cyclist from near, 3 m/s",
     "low box, 3 m/s",
     "thin pole, 2 m/s",
@@ -38,6 +39,7 @@ KEPT = (
     "oncoming car, 2 m/s",
     "overtaken pedestrians, 3 m/s",
     "following, 2 m/s",
+    "parked rows, 4 m/s, 0.9 m, cart",
     "pillars, 4 m/s, 0.6 m, cart",
 )
 
