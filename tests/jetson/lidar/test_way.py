@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import msgspec
 import numpy as np
 import pytest
 
 from common.messages import LaserScan, LidarZones, Motion
 from common.path import Path, pose_after, stopping_m
-from services.jetson.lidar.config import LidarConfig
-from services.jetson.lidar.filters import RejectReason, returns_of
+from services.jetson.lidar.config import LidarConfig, ZonesSection
+from services.jetson.lidar.filters import RejectReason, Returns, returns_of
 from services.jetson.lidar.pipeline import LidarPipeline
-from services.jetson.lidar.way import along_the_way, cover_of, zones_for
+from services.jetson.lidar.way import along_the_way, cover_of, driven_m, layout_of, zones_for
 
 CONFIG = LidarConfig()
 ScanOf = Callable[..., LaserScan]
@@ -132,3 +133,94 @@ def test_the_cover_ends_at_what_is_seen_and_where_the_lens_is_covered(scan_of: S
     assert left.far_m[sector] == 0.0
     assert "ends at the lens" in left.why
     assert cover_of(returns, used, CONFIG, None).first_rad == pytest.approx(-math.radians(20.0))
+
+
+NARROW = msgspec.structs.replace(CONFIG, zones=ZonesSection(imminent_m=0.01, caution_m=0.02, look_ahead_m=0.03))
+
+
+@pytest.mark.parametrize(
+    ("speed_mps", "lead_mps", "stop_m", "coming_mps"),
+    [(2.0, 1.0, 1.7667 - 1.0 / 12.0, 1.0), (2.0, 2.0, 1.7667 - 4.0 / 12.0, 0.0), (1.0, 3.0, 0.0167, 0.0)],
+)
+def test_who_drives_ahead_needs_less_room(speed_mps: float, lead_mps: float, stop_m: float, coming_mps: float) -> None:
+    """Reaction and braking at 3 m/s^2 and 0.1 m, less what the other's own braking at 6 m/s^2 leaves free."""
+    zones = zones_for(NARROW, Motion(speed_mps), lead_mps)
+    assert zones.imminent_m == pytest.approx(stop_m, abs=1e-4)
+    assert zones.caution_m == pytest.approx(max(0.02, stop_m + 1.9 * coming_mps), abs=1e-4)
+    assert zones_for(NARROW, Motion(speed_mps), 9.0).imminent_m == 0.01
+
+
+@pytest.mark.parametrize(("yaw_rate_radps", "lead_s"), [(0.05, 1.9), (0.0525, 0.3), (-0.0525, 0.3)])
+def test_in_a_curve_less_counts(yaw_rate_radps: float, lead_s: float) -> None:
+    zones = zones_for(NARROW, Motion(1.0, yaw_rate_radps))
+    assert zones.caution_m == pytest.approx(stopping_m(1.0, CONFIG.path) + lead_s)
+
+
+def test_the_lane_is_as_wide_as_vehicle_and_margins() -> None:
+    path = msgspec.structs.replace(CONFIG.path, width_m=0.3, side_margin_m=0.1)
+    wide = zones_for(msgspec.structs.replace(CONFIG, path=path), Motion(1.0))
+    assert wide.centre_width_m == pytest.approx(0.5)
+
+
+def test_only_driving_brings_things_nearer() -> None:
+    assert driven_m(CONFIG, Motion(2.0), 0.1) == pytest.approx(0.2)
+    assert [driven_m(CONFIG, motion, 0.1) for motion in (None, Motion(0.0), Motion(-1.0))] == [0.0, 0.0, 0.0]
+    assert layout_of(CONFIG.zones).curvature_per_m == 0.0
+
+
+def beams(range_m: float = 5.0, per_sector: int = 20) -> Returns:
+    """The forward cone of 40 degrees, so many beams in each sector of 2 degrees."""
+    count = 20 * per_sector
+    angle = np.radians(-20.0 + (np.arange(count) + 0.5) * 2.0 / per_sector)
+    reach = np.full(count, range_m)
+    x_m, y_m = reach * np.cos(angle), reach * np.sin(angle)
+    return Returns(angle, reach, np.full(count, 200.0), x_m, y_m, np.arange(count), float(angle[1] - angle[0]))
+
+
+def test_the_last_beam_is_of_now_and_an_earlier_one_is_carried_on() -> None:
+    motion, returns = Motion(3.0), beams()
+    straight = along_the_way(returns, CONFIG, motion)
+    late_m = 3.0 / CONFIG.scan.sample_rate_hz
+    assert returns.x_m[-3:] - straight.x_m[-3:] == pytest.approx([2 * late_m, late_m, 0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize(("range_m", "placed"), [(0.05, True), (0.0, False)])
+def test_a_beam_without_a_return_has_no_place_on_the_way(range_m: float, placed: bool) -> None:
+    straight = along_the_way(beams(range_m), CONFIG, Motion(2.0, 0.5))
+    assert np.all((straight.x_m != 0.0) == placed)
+    assert placed or np.all(straight.x_m == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("reason", "hidden", "far_m", "why"),
+    [
+        (RejectReason.NEAR, 10, 5.0, ""),
+        (RejectReason.NEAR, 11, 0.0, "5 % of the view ends at the lens or is not measured"),
+        (RejectReason.IGNORED, 10, 5.0, ""),
+        (RejectReason.IGNORED, 11, 0.0, "5 % of the view is behind own parts (filter.ignore)"),
+        (RejectReason.FAR, 20, CONFIG.zones.cover_far_m, ""),
+    ],
+)
+def test_a_sector_is_not_seen_when_most_of_its_beams_are_hidden(
+    reason: RejectReason, hidden: int, far_m: float, why: str
+) -> None:
+    reject = np.zeros(400, np.int64)
+    reject[60 : 60 + hidden] = reason
+    cover = cover_of(beams(), reject, CONFIG, None)
+    assert cover.far_m == [5.0] * 3 + [far_m] + [5.0] * 16
+    assert cover.why == why
+
+
+def test_a_sector_needs_a_beam_and_the_first_counts_too() -> None:
+    returns = beams(2.0049, per_sector=1)
+    assert cover_of(returns, np.zeros(20, np.int64), CONFIG, None).far_m == [2.0] * 20
+    fewer = Returns(*(value[1:] for value in vars(returns).values() if isinstance(value, np.ndarray)), 0.03)
+    without = cover_of(fewer, np.zeros(19, np.int64), CONFIG, None)
+    assert without.far_m == [0.0] + [2.0] * 19
+    assert without.why == "5 % of the view ends at the lens or is not measured"
+
+
+def test_the_narrowest_view_is_one_sector() -> None:
+    narrow = msgspec.structs.replace(CONFIG, zones=ZonesSection(fov_deg=0.9))
+    cover = cover_of(beams(), np.zeros(400, np.int64), narrow, None)
+    assert (len(cover.far_m), cover.step_rad) == (1, pytest.approx(math.radians(0.9)))
