@@ -130,3 +130,27 @@ def test_static_level_is_by_distance_of_what_stands() -> None:
     assert static_level([track(3.0, 0.0, approaching=False)], ALARM) == "SAFE"
     assert static_level([track(r, 0.0, approaching=False) for r in (3.0, 1.2)], ALARM) == "CAUTION"
     assert static_level([track(0.5, 0.0, approaching=False)], ALARM) == "IMMINENT"
+
+
+def test_the_slowest_closing_that_counts() -> None:
+    at = -TRACKING.moving_mps
+    assert time_to_collision_s(track(1.5, at, approaching=True), TRACKING) == pytest.approx(1.5 / TRACKING.moving_mps)
+    assert time_to_collision_s(track(1.5, at + 1e-6, approaching=True), TRACKING) is None
+
+
+def test_an_approach_of_this_very_moment_is_no_time_ago() -> None:
+    assert approached_s_ago(track(1.0, -1.0, approaching=True, ago_s=0.0), NOW_NS) == 0.0
+
+
+def test_moving_over_ground_begins_at_its_limit_and_by_the_azimuth() -> None:
+    at = TRACKING.moving_mps
+    assert is_moving(track(3.0, at, approaching=False), None, TRACKING)
+    assert not is_moving(track(3.0, at - 1e-6, approaching=False), None, TRACKING)
+    aside = track(3.0, -1.0, approaching=True)  # stands at 60 degrees beside a way of 2 m/s
+    aside.state[2] = np.pi / 3
+    assert not is_moving(aside, 2.0, TRACKING)
+    aside.state[2] = 0.0
+    assert is_moving(aside, 2.0, TRACKING)
+    aside.has_azimuth = False  # straight ahead where it is not known
+    assert is_moving(aside, 1.0 + at + 1e-6, TRACKING)
+    assert not is_moving(aside, 1.0 + at - 1e-6, TRACKING)

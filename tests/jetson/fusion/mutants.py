@@ -73,7 +73,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "outlines": ("test_outlines.py", "test_outlines_steps.py"),
     "own_track": ("test_own_track.py",),
     "dating": ("test_health_limits.py", "test_clocks.py", "test_clocks_in_fusion.py", "test_aged_by_stamp.py"),
-    "common.path": ("common/test_path.py",),
+    "common.path": ("common/test_path.py", "common/test_path_limits.py", "jetson/fusion/test_config.py"),
     "services.radar_pi.alarm": ("radar_pi/test_alarm.py",),
     "services.jetson.lidar.way": ("jetson/lidar/test_way.py",),
     "services.jetson.gate.checks": ("jetson/gate/test_pipeline.py",),

@@ -271,3 +271,11 @@ def test_covered_to_the_very_end_is_enough(covered_m: float, short: bool) -> Non
 def test_runs_of_flags() -> None:
     assert runs(np.array([True, True, False, True])) == [(0, 2), (3, 4)]
     assert runs(np.zeros(3, bool)) == []
+
+
+def test_covered_to_the_very_end_and_too_fast_tells_the_limit() -> None:
+    _, way = way_ahead(Motion(2.0), PATH)
+    way = msgspec.structs.replace(way, stopping_m=2.0)
+    assert decided(Coverage(way, 2.0, (), 1.0, "low boxes go unseen", too_fast=True)).because == (
+        "low boxes go unseen; safe up to 1.0 m/s"
+    )
