@@ -23,7 +23,7 @@ from common.messages import Cover, Motion, Uncovered, WayAhead
 from common.path import Path, PathConfig, is_driving, safe_speed_mps
 from common.topics import spoken
 from services.jetson.fusion.config import RulesConfig
-from services.jetson.fusion.hidden import cover_far_m, nearest_hidden_m, pass_speed_mps
+from services.jetson.fusion.hidden import cover_far_m, nearest_hidden_m, pass_speed_mps, shows_what_hides
 
 CELL_M = 0.1  # along the way
 ACROSS = 5  # cells over its width
@@ -111,7 +111,10 @@ def limit(path: Path, covers: Mapping[str, Cover | None], covered_m: float, rule
     if partial:
         found.append((rules.partial_mps, f"low boxes and panes go unseen ({partial})"))
     hidden_m = nearest_hidden_m(path, covers.values(), covered_m)
-    if hidden_m is not None:
+    if not any(shows_what_hides(cover) for cover in covers.values()):
+        limit_mps = pass_speed_mps(0.0, path.config, rules.hidden_stop_s)
+        found.append((limit_mps, "no sensor shows what may hide somebody beside the way"))
+    elif hidden_m is not None:
         limit_mps = pass_speed_mps(hidden_m, path.config, rules.hidden_stop_s)
         found.append((limit_mps, f"somebody may stand unseen beside the way {hidden_m:.1f} m ahead"))
     return min(found)

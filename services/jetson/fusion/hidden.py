@@ -57,6 +57,11 @@ def pass_speed_mps(hidden_m: float, config: PathConfig, stop_s: float) -> float:
     return max(passing_mps, now_mps)
 
 
+def shows_what_hides(cover: Cover | None) -> bool:
+    """Whether a sensor measures where its view ends: sector by sector, not one reach for all of its cone."""
+    return cover is not None and cover.standing and len(cover.far_m) > 1 and any(cover.far_m)
+
+
 def hides(cover: Cover, cells: np.ndarray) -> np.ndarray:
     """(N,) bool: places (N, 2) in the vehicle's frame close behind something at which this sensor's view ends.
 

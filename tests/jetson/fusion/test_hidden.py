@@ -196,3 +196,26 @@ def test_the_places_begin_at_the_outline_and_at_the_bumper() -> None:
     (left, right), first = beside(turning, 1), np.array([0.05])
     assert left[0] == pytest.approx(turning.place(first, np.array([turning.left_m + 0.05]))[0])
     assert right[0] == pytest.approx(turning.place(first, np.array([-turning.right_m - 0.05]))[0])
+
+
+CONE = Cover(x_m=0.2, y_m=0.0, first_rad=-0.5, step_rad=1.0, far_m=[12.0])
+
+
+@pytest.mark.parametrize(
+    ("covers", "limit_mps"),
+    [
+        ({"lidar": lidar(), "camera": CONE}, None),
+        ({"lidar": None, "camera": CONE}, 3.0),
+        ({"camera": CONE}, 3.0),
+        ({"lidar": lidar(standing=False), "camera": CONE}, 3.0),
+        ({"lidar": msgspec.structs.replace(lidar(), far_m=[0.0] * 90), "camera": CONE}, 3.0),  # covered
+    ],
+)
+def test_losing_the_sensor_that_shows_what_hides_lifts_no_limit(
+    covers: dict[str, Cover | None], limit_mps: float | None
+) -> None:
+    found = cover_way(Motion(3.4), PATH, covers, {"lidar": "disconnected"}, RulesConfig())
+    assert found.too_fast == (limit_mps is not None)
+    if limit_mps is not None:
+        assert found.max_safe_speed_mps == limit_mps
+        assert found.limited_by == "no sensor shows what may hide somebody beside the way"
