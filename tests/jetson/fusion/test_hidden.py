@@ -205,6 +205,7 @@ CONE = Cover(x_m=0.2, y_m=0.0, first_rad=-0.5, step_rad=1.0, far_m=[12.0])
     ("covers", "limit_mps"),
     [
         ({"lidar": lidar(), "camera": CONE}, None),
+        ({"halves": msgspec.structs.replace(CONE, step_rad=0.5, far_m=[12.0, 12.0])}, None),
         ({"lidar": None, "camera": CONE}, 3.0),
         ({"camera": CONE}, 3.0),
         ({"lidar": lidar(standing=False), "camera": CONE}, 3.0),
