@@ -29,7 +29,7 @@ LOST_FRAMES = 20
 class BackgroundModel:
     """What is kept on disk.
 
-    intervals_m: (columns * rows, 4) float32, near and far end of two intervals of range in each cell of azimuth x ring.
+    intervals_m: (4, columns * rows) float32, near and far end of two intervals of range in each cell of azimuth x ring.
     is_road: (columns * rows,) bool, the background there is road. background_ratio: share of the returns that were
     background in the last frame of the learning. surface: (rings, sectors, 3) float32, the road at the time, as in
     ``ground.py``. static_map: (2, side, side) bool as in ``static_map.MapCells``, empty until it is drawn.
@@ -160,7 +160,7 @@ class Background:
         intervals_m[users] = kernels.EMPTY * 2
         is_road = np.zeros(len(users), bool)
         is_road[road_cells] = True
-        model = BackgroundModel(intervals_m, is_road, *self._grid, 1.0, surface)
+        model = BackgroundModel(np.ascontiguousarray(intervals_m.T), is_road, *self._grid, 1.0, surface)
         ratio = foreground_of(returns, model, 0.0).background_ratio
         self.model, self._modes = replace(model, background_ratio=ratio), None
 
@@ -171,17 +171,23 @@ def foreground_of(returns: Returns, model: BackgroundModel, near_m: float) -> Fo
         first = _first_cells(returns, model.columns)
         return Foreground(*kernels.foreground_of_image(returns.arrays, first, model.intervals_m, near_m))
     points = np.ascontiguousarray(returns, np.float32)
-    return Foreground(*kernels.foreground_of_points(points, model.grid, model.intervals_m, near_m))
+    return Foreground(*kernels.foreground_of_points(points, _azimuth(points), model.grid, model.intervals_m, near_m))
 
 
 def locate(returns: Returns, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     """(N,) int32 cell of each return, ``NO_RETURN`` where there is none, and (N,) float32 range (m)."""
     if not isinstance(returns, RangeImage):
-        return kernels.locate(np.ascontiguousarray(returns, np.float32), grid)
+        points = np.ascontiguousarray(returns, np.float32)
+        return kernels.locate(points, _azimuth(points), grid)
     range_m = returns.range_m
     cell = _first_cells(returns, grid.columns)[:, None] + np.arange(range_m.shape[1], dtype=np.int32)
     cell[~((range_m > MIN_RANGE_M) & (range_m < MAX_RANGE_M))] = NO_RETURN
     return cell.ravel(), range_m.ravel()
+
+
+def _azimuth(points: np.ndarray) -> np.ndarray:
+    """(N,) float32 rad; NumPy's arctan2 is vectorised, that of a kernel is not."""
+    return np.asarray(np.arctan2(points[:, 1], points[:, 0]))
 
 
 def _first_cells(image: RangeImage, columns: int) -> np.ndarray:

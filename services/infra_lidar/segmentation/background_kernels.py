@@ -52,8 +52,11 @@ class RangeModes(NamedTuple):
 
 
 @kernel
-def locate(points: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) int32 cell, ``NO_RETURN`` where there is none, and (N,) float32 range (m) of (N, 3+) float32 points."""
+def locate(points: np.ndarray, azimuth: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) int32 cell, ``NO_RETURN`` where there is none, and (N,) float32 range (m) of (N, 3+) float32 points.
+
+    azimuth: (N,) float32 rad, arctan2(y, x).
+    """
     n = len(points)
     cell, range_m = np.empty(n, np.int32), np.empty(n, np.float32)
     for i in range(n):
@@ -63,7 +66,7 @@ def locate(points: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
         if MIN_RANGE_M < range_m[i] < MAX_RANGE_M:
             has_rings = points.shape[1] > 4
             row = points[i, 4] if has_rings else z / range_m[i] * ROWS_PER_RAD + grid.rows // 2
-            turn = (np.arctan2(y, x) + np.pi) / (2.0 * np.pi)
+            turn = (azimuth[i] + np.pi) / (2.0 * np.pi)
             column = min(int(turn * grid.columns), grid.columns - 1)
             cell[i] = column * grid.rows + min(max(int(row), 0), grid.rows - 1)
     return cell, range_m
@@ -169,24 +172,27 @@ def _interval(modes: RangeModes, c: int, mode: int, tolerance: Tolerance) -> tup
 
 
 @kernel
-def _is_background(range_m: float, intervals_m: np.ndarray) -> bool:
-    first = intervals_m[0] <= range_m <= intervals_m[1]
-    return first or intervals_m[2] <= range_m <= intervals_m[3]
+def _is_background(range_m: float, intervals_m: np.ndarray, c: int) -> bool:
+    first = (range_m >= intervals_m[0, c]) & (range_m <= intervals_m[1, c])
+    return first | ((range_m >= intervals_m[2, c]) & (range_m <= intervals_m[3, c]))
 
 
 @kernel
 def foreground_of_points(
-    points: np.ndarray, grid: Grid, intervals_m: np.ndarray, near_m: float
+    points: np.ndarray, azimuth: np.ndarray, grid: Grid, intervals_m: np.ndarray, near_m: float
 ) -> tuple[np.ndarray, np.ndarray, int, int]:
-    """Points, index, returns and near of ``background.Foreground`` for (N, 3+) float32 points (m, sensor frame)."""
-    cell, range_m = locate(points, grid)
+    """Points, index, returns and near of ``background.Foreground`` for points and azimuth as ``locate`` takes them.
+
+    intervals_m: (4, cells) as in ``background.BackgroundModel``.
+    """
+    cell, range_m = locate(points, azimuth, grid)
     index, m, returns, near = np.empty(len(points), np.int32), 0, 0, 0
     for i in range(len(points)):
         if cell[i] == NO_RETURN:
             continue
         returns += 1
         near += range_m[i] < near_m
-        if not _is_background(range_m[i], intervals_m[cell[i]]):
+        if not _is_background(range_m[i], intervals_m, cell[i]):
             index[m] = i
             m += 1
     foreground = np.empty((m, 3), np.float32)
@@ -202,19 +208,34 @@ def foreground_of_image(
 ) -> tuple[np.ndarray, np.ndarray, int, int]:
     """The same for a range image; first: (R,) int cell of the first range of each row, the others of a row follow."""
     rows, width = image.range_m.shape
-    index, m, returns, near = np.empty(rows * width, np.int32), 0, 0, 0
+    is_foreground, returns, near = np.empty(rows * width, np.bool_), 0, 0
     for row in range(rows):
-        cell = first[row]
-        for i in range(width):
-            r = image.range_m[row, i]
-            if not MIN_RANGE_M < r < MAX_RANGE_M:
-                continue
-            returns += 1
-            near += r < near_m
-            if not _is_background(r, intervals_m[cell + i]):
-                index[m] = row * width + i
-                m += 1
+        intervals = intervals_m[:, first[row] : first[row] + width]
+        out = is_foreground[row * width : (row + 1) * width]
+        row_returns, row_near = _compare_row(image.range_m[row], intervals, np.float32(near_m), out)
+        returns, near = returns + row_returns, near + row_near
+    index, m = np.empty(rows * width, np.int32), 0
+    for i in range(rows * width):  # no branch depends on a range, so that the processor need not guess
+        index[m] = i
+        m += is_foreground[i]
     points = np.empty((m, 3), np.float32)
     for k in range(m):
         write_xyz(image, index[k] // width, index[k] % width, points[k])
     return points, index[:m], returns, near
+
+
+@kernel
+def _compare_row(
+    range_m: np.ndarray, intervals_m: np.ndarray, near_m: np.float32, is_foreground: np.ndarray
+) -> tuple[int, int]:
+    """Write is_foreground (W,) bool of ranges (W,) float32; intervals_m (4, W). Counts returns and near ones."""
+    near_1, far_1, near_2, far_2 = intervals_m[0], intervals_m[1], intervals_m[2], intervals_m[3]
+    returns, near = np.int32(0), np.int32(0)
+    for i in range(len(range_m)):
+        r = range_m[i]
+        is_return = (r > MIN_RANGE_M) & (r < MAX_RANGE_M)
+        known = ((r >= near_1[i]) & (r <= far_1[i])) | ((r >= near_2[i]) & (r <= far_2[i]))
+        is_foreground[i] = is_return & (not known)
+        returns += np.int32(is_return)
+        near += np.int32(is_return & (r < near_m))
+    return int(returns), int(near)

@@ -59,30 +59,36 @@ def level(
     points: np.ndarray, T_level_sensor: np.ndarray, near_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int]:
     """x, y, z, returns and near of ``Levelled`` for (N, 3+) float32 points (m, sensor frame) and (4, 4) float32."""
-    n, T = len(points), T_level_sensor
+    n, returns, near, near_m2 = len(points), np.int32(0), np.int32(0), np.float32(near_m**2)
     x, y, z = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
-    returns, near, near_m2 = 0, 0, np.float32(near_m**2)
+    for i in range(n):  # columns first: the compiler vectorises the loop below only over arrays in one piece
+        x[i], y[i], z[i] = points[i, 0], points[i, 1], points[i, 2]
+    xx, xy, xz, x0 = T_level_sensor[0]
+    yx, yy, yz, y0 = T_level_sensor[1]
+    zx, zy, zz, z0 = T_level_sensor[2]
     for i in range(n):
-        a, b, c = points[i, 0], points[i, 1], points[i, 2]
+        a, b, c = x[i], y[i], z[i]
         squared = a * a + b * b + c * c
         is_return = (squared > MIN_RANGE_M**2) & (squared < MAX_RANGE_M**2)
-        returns += is_return
-        near += is_return & (squared < near_m2)
-        x[i] = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c + T[0, 3]
-        y[i] = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c + T[1, 3]
-        z[i] = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3] if is_return else np.float32(np.nan)
-    return x, y, z, returns, near
+        returns += np.int32(is_return)
+        near += np.int32(is_return & (squared < near_m2))
+        x[i] = xx * a + xy * b + xz * c + x0
+        y[i] = yx * a + yy * b + yz * c + y0
+        z[i] = zx * a + zy * b + zz * c + z0 if is_return else np.float32(np.nan)
+    return x, y, z, int(returns), int(near)
 
 
 @kernel
 def polar_cells(x: np.ndarray, y: np.ndarray, z: np.ndarray, azimuth: np.ndarray, s: GroundSettings) -> np.ndarray:
     """cell of ``Levelled``; azimuth: (N,) float32 rad, arctan2(y, x)."""
-    cell = np.full(len(x), CLIPPED, np.int32)
+    cell, sectors = np.empty(len(x), np.int32), np.int32(s.sectors)
+    range_max_m, low_m, high_m = np.float32(s.range_max_m), np.float32(s.height_min_m), np.float32(s.height_max_m)
+    per_m, per_rad = np.float32(1.0 / s.ring_m), np.float32(s.sectors / (2.0 * np.pi))
     for i in range(len(x)):
         radius = np.sqrt(x[i] * x[i] + y[i] * y[i])
-        if radius <= s.range_max_m and s.height_min_m <= z[i] <= s.height_max_m:
-            sector = int((azimuth[i] + np.pi) / (2.0 * np.pi) * s.sectors)
-            cell[i] = int(radius / s.ring_m) * s.sectors + min(sector, s.sectors - 1)
+        sector = min(np.int32((azimuth[i] + np.float32(np.pi)) * per_rad), sectors - np.int32(1))
+        inside = (radius <= range_max_m) & (z[i] >= low_m) & (z[i] <= high_m)
+        cell[i] = np.int32(radius * per_m) * sectors + sector if inside else np.int32(CLIPPED)
     return cell
 
 
@@ -93,24 +99,34 @@ def cell_heights(levelled: Levelled, s: GroundSettings, histogram: np.ndarray) -
     It is the point of rank max(1, int(percentile * n)) from below. histogram: (rings * sectors, bins) int32 scratch,
     zero before and after.
     """
-    cells = s.rings * s.sectors
-    count, height = np.zeros(cells, np.int32), np.full(cells, np.nan, np.float32)
-    for i in range(len(levelled.cell)):
-        c = levelled.cell[i]
-        if c != CLIPPED:
-            b = int(bin_of(levelled.z[i]) - s.first_bin)
-            histogram[c, min(max(b, 0), s.bins - 1)] += 1
-            count[c] += 1
+    cells, flat = s.rings * s.sectors, histogram.reshape(-1)
+    place = _histogram_places(levelled.z, levelled.cell, s)
+    for i in range(len(place)):
+        if place[i] >= 0:
+            flat[place[i]] += 1
+    height = np.full(cells, np.nan, np.float32)
     for c in range(cells):
-        if count[c] >= s.min_points:
-            rank = max(1, int(s.percentile * count[c]))
+        count = histogram[c].sum()
+        if count >= s.min_points:
+            rank = max(1, int(s.percentile * count))
             height[c] = height_of(s.first_bin + _place_of_rank(histogram[c], rank))
-        if count[c] > 0:
+        if count > 0:
             histogram[c, :] = 0
     return height.reshape(s.rings, s.sectors)
 
 
 @kernel
+def _histogram_places(z: np.ndarray, cell: np.ndarray, s: GroundSettings) -> np.ndarray:
+    """(N,) int32: cell * bins + bin of each point, negative where the point is clipped."""
+    place = np.empty(len(z), np.int32)
+    first, bins = np.float32(s.first_bin), np.int32(s.bins)
+    for i in range(len(z)):
+        fine = min(max(z[i], np.float32(-FINE_M)), np.float32(FINE_M))
+        b = np.int32(fine * np.float32(FINE_PER_M) + (z[i] - fine) * np.float32(COARSE_PER_M) - first)
+        place[i] = cell[i] * bins + min(max(b, np.int32(0)), bins - np.int32(1))
+    return place
+
+
 def bin_of(height_m: float) -> float:
     """Position of a height on the scale of the bins; 0 is height 0."""
     fine = min(max(height_m, -FINE_M), FINE_M)
@@ -143,21 +159,36 @@ def label_ground(
     surface: (rings, sectors, 3) float32, road height is s0 + s1 x + s2 y. Returns points, index and is_ground of
     ``ground.Obstacles``.
     """
-    n, m = len(levelled.cell), 0
-    points, index, is_ground = np.empty((n, 4), np.float32), np.empty(n, np.int32), np.zeros(n, np.bool_)
-    planes = surface.reshape(-1, 3)
+    x, y, z, cell = levelled.x, levelled.y, levelled.z, levelled.cell
+    n, planes = len(cell), surface.reshape(-1, 3)
+    above = np.empty(n, np.float32)
     for i in range(n):
-        c = levelled.cell[i]
-        if c == CLIPPED:
-            continue
-        x, y, z = levelled.x[i], levelled.y[i], levelled.z[i]
-        above = z - (planes[c, 0] + planes[c, 1] * x + planes[c, 2] * y)
-        is_ground[i] = -s.below_m <= above <= s.above_m
-        if above > s.above_m or above < s.hole_m:
-            points[m, 0], points[m, 1], points[m, 2], points[m, 3] = x, y, z, above
-            index[m] = i
-            m += 1
-    return points[:m], index[:m], is_ground
+        c = max(cell[i], 0)
+        road_z = planes[c, 0] + planes[c, 1] * x[i] + planes[c, 2] * y[i]
+        above[i] = z[i] - road_z if cell[i] != CLIPPED else np.float32(np.nan)
+    index, is_ground = _split(above, s)
+    points = np.empty((len(index), 4), np.float32)
+    for m in range(len(index)):
+        i = index[m]
+        points[m, 0], points[m, 1], points[m, 2], points[m, 3] = x[i], y[i], z[i], above[i]
+    return points, index, is_ground
+
+
+@kernel
+def _split(above_m: np.ndarray, s: GroundSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Index (M,) int32 of the obstacles and is_ground (N,) bool, of heights above the road (N,) float32.
+
+    NaN is neither. No branch depends on a point, so that the processor need not guess.
+    """
+    n, m = len(above_m), 0
+    index, is_ground = np.empty(n, np.int32), np.empty(n, np.bool_)
+    low, high, hole = np.float32(-s.below_m), np.float32(s.above_m), np.float32(s.hole_m)
+    for i in range(n):
+        is_ground[i] = (above_m[i] >= low) & (above_m[i] <= high)
+    for i in range(n):
+        index[m] = i
+        m += (above_m[i] > high) | (above_m[i] < hole)
+    return index[:m], is_ground
 
 
 class RoadMap(NamedTuple):
@@ -176,22 +207,22 @@ def label_with_map(
     foreground: (n, 3) float32 m, sensor frame, all of them returns. frame_index: (n,) int32 index in the frame.
     Returns points, index and is_ground (n,) of ``ground.Obstacles``.
     """
-    n, m, T = len(foreground), 0, T_level_sensor
-    points, index, is_ground = np.empty((n, 4), np.float32), np.empty(n, np.int32), np.zeros(n, np.bool_)
-    side, per_m = len(road.height_m), np.float32(1.0 / road.cell_m)
+    n, T = len(foreground), T_level_sensor
+    level, above = np.empty((n, 3), np.float32), np.empty(n, np.float32)
+    half, last, per_m = len(road.height_m) // 2, len(road.height_m) - 1, np.float32(1.0 / road.cell_m)
+    low_m, high_m = np.float32(s.height_min_m), np.float32(s.height_max_m)
     for i in range(n):
         a, b, c = foreground[i, 0], foreground[i, 1], foreground[i, 2]
-        x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c + T[0, 3]
-        y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c + T[1, 3]
-        z = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
-        row = min(max(int(y * per_m + side // 2), 0), side - 1)
-        column = min(max(int(x * per_m + side // 2), 0), side - 1)
-        above = z - road.height_m[row, column]
-        if not s.height_min_m <= z <= s.height_max_m:
-            continue
-        is_ground[i] = -s.below_m <= above <= s.above_m
-        if above > s.above_m or above < s.hole_m:
-            points[m, 0], points[m, 1], points[m, 2], points[m, 3] = x, y, z, above
-            index[m] = frame_index[i]
-            m += 1
-    return points[:m], index[:m], is_ground
+        for axis in range(3):
+            level[i, axis] = T[axis, 0] * a + T[axis, 1] * b + T[axis, 2] * c + T[axis, 3]
+        row = min(max(int(level[i, 1] * per_m + half), 0), last)
+        column = min(max(int(level[i, 0] * per_m + half), 0), last)
+        z = level[i, 2]
+        above[i] = z - road.height_m[row, column] if (z >= low_m) & (z <= high_m) else np.float32(np.nan)
+    chosen, is_ground = _split(above, s)
+    points, index = np.empty((len(chosen), 4), np.float32), np.empty(len(chosen), np.int32)
+    for m in range(len(chosen)):
+        i = chosen[m]
+        points[m, 0], points[m, 1], points[m, 2], points[m, 3] = level[i, 0], level[i, 1], level[i, 2], above[i]
+        index[m] = frame_index[i]
+    return points, index, is_ground
