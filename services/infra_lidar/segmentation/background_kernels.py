@@ -210,9 +210,8 @@ def foreground_of_image(
     rows, width = image.range_m.shape
     is_foreground, returns, near = np.empty(rows * width, np.bool_), 0, 0
     for row in range(rows):
-        intervals = intervals_m[:, first[row] : first[row] + width]
         out = is_foreground[row * width : (row + 1) * width]
-        row_returns, row_near = _compare_row(image.range_m[row], intervals, np.float32(near_m), out)
+        row_returns, row_near = _compare_row(image.range_m[row], intervals_m, first[row], np.float32(near_m), out)
         returns, near = returns + row_returns, near + row_near
     index, m = np.empty(rows * width, np.int32), 0
     for i in range(rows * width):  # no branch depends on a range, so that the processor need not guess
@@ -226,10 +225,12 @@ def foreground_of_image(
 
 @kernel
 def _compare_row(
-    range_m: np.ndarray, intervals_m: np.ndarray, near_m: np.float32, is_foreground: np.ndarray
+    range_m: np.ndarray, intervals_m: np.ndarray, first: int, near_m: np.float32, is_foreground: np.ndarray
 ) -> tuple[int, int]:
-    """Write is_foreground (W,) bool of ranges (W,) float32; intervals_m (4, W). Counts returns and near ones."""
-    near_1, far_1, near_2, far_2 = intervals_m[0], intervals_m[1], intervals_m[2], intervals_m[3]
+    """Write is_foreground (W,) bool of ranges (W,) float32, whose cells begin at ``first``; counts returns and near."""
+    last = first + len(range_m)
+    near_1, far_1 = intervals_m[0, first:last], intervals_m[1, first:last]
+    near_2, far_2 = intervals_m[2, first:last], intervals_m[3, first:last]
     returns, near = np.int32(0), np.int32(0)
     for i in range(len(range_m)):
         r = range_m[i]
