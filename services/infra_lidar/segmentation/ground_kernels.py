@@ -118,15 +118,14 @@ def cell_heights(levelled: Levelled, s: GroundSettings, histogram: np.ndarray) -
 @kernel
 def _histogram_places(z: np.ndarray, cell: np.ndarray, s: GroundSettings) -> np.ndarray:
     """(N,) int32: cell * bins + bin of each point, negative where the point is clipped."""
-    place = np.empty(len(z), np.int32)
-    first, bins = np.float32(s.first_bin), np.int32(s.bins)
+    place, bins = np.empty(len(z), np.int32), np.int32(s.bins)
     for i in range(len(z)):
-        fine = min(max(z[i], np.float32(-FINE_M)), np.float32(FINE_M))
-        b = np.int32(fine * np.float32(FINE_PER_M) + (z[i] - fine) * np.float32(COARSE_PER_M) - first)
+        b = np.int32(bin_of(z[i]) - s.first_bin)
         place[i] = cell[i] * bins + min(max(b, np.int32(0)), bins - np.int32(1))
     return place
 
 
+@kernel
 def bin_of(height_m: float) -> float:
     """Position of a height on the scale of the bins; 0 is height 0."""
     fine = min(max(height_m, -FINE_M), FINE_M)
