@@ -23,7 +23,10 @@ class ModelError(ConfigError):
 
 
 class _Trees(NamedTuple):
-    """The nodes as the compiled loop takes them; ``child`` (N, 2) holds left and right."""
+    """The nodes as the compiled loop takes them; ``child`` (2 N,) holds left and right of each.
+
+    Whole numbers are unsigned: of a signed index Numba asks each time whether it counts from the end.
+    """
 
     feature: np.ndarray
     threshold: np.ndarray
@@ -55,8 +58,9 @@ class Forest:
 
     @cached_property
     def _trees(self) -> _Trees:
-        child = np.column_stack((self.left, self.right))
-        return _Trees(self.feature, self.threshold, child, self.leaf, self.value, self.root)
+        child = np.column_stack((self.left, self.right)).ravel()
+        feature, child, leaf, root = (a.astype(np.uint32) for a in (self.feature, child, self.leaf, self.root))
+        return _Trees(feature, self.threshold, child, leaf, self.value, root)
 
     def shares(self, x: np.ndarray) -> np.ndarray:
         """(K, F) float32 features to (K, C) float32 mean class shares of the trees (uncalibrated).
@@ -103,19 +107,25 @@ def _sum_shares(x: np.ndarray, trees: _Trees, out: np.ndarray) -> None:
     """Add the class shares of each tree's leaf to out (K, C).
 
     All rows take a step before any takes the next: their steps do not depend on each other, so the processor overlaps
-    them. Rows that are at a leaf stay there.
+    them. Rows that are at a leaf leave the list of those that walk.
     """
-    node = np.empty(len(x), np.int32)
+    rows, width, values = np.uint32(len(x)), np.uint32(x.shape[1]), x.reshape(-1)
+    node, walking = np.empty(rows, np.uint32), np.empty(rows, np.uint32)
     for root in trees.root:
-        node[:] = root
-        moved = True
-        while moved:
-            moved = False
-            for k in range(len(x)):
+        for k in range(rows):
+            node[k], walking[k] = root, k
+        left = rows
+        while left > 0:
+            still = np.uint32(0)
+            for j in range(left):
+                k = walking[j]
                 at = node[k]
-                node[k] = trees.child[at, int(x[k, trees.feature[at]] > trees.threshold[at])]
-                moved |= node[k] != at
-        for k in range(len(x)):
+                goes_right = np.uint32(values[k * width + trees.feature[at]] > trees.threshold[at])
+                node[k] = trees.child[np.uint32(2) * at + goes_right]
+                walking[still] = k
+                still += np.uint32(node[k] != at)
+            left = still
+        for k in range(rows):
             for c in range(out.shape[1]):
                 out[k, c] += trees.value[trees.leaf[node[k]], c]
 
