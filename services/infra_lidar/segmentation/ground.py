@@ -100,9 +100,8 @@ class Ground:
     def sectors_seen(self, levelled: Levelled) -> int:
         """Number of sectors with a point inside the limits."""
         s = self._settings
-        occupied = np.zeros(s.rings * s.sectors + 1, bool)  # the last one is that of ``CLIPPED``
-        occupied[levelled.cell] = True
-        return int(occupied[:-1].reshape(s.rings, s.sectors).any(axis=0).sum())
+        occupied = kernels.occupied_cells(levelled.cell, s.rings * s.sectors)
+        return int(occupied.reshape(s.rings, s.sectors).any(axis=0).sum())
 
     @property
     def nbytes(self) -> int:

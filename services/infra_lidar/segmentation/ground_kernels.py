@@ -93,6 +93,15 @@ def polar_cells(x: np.ndarray, y: np.ndarray, z: np.ndarray, azimuth: np.ndarray
 
 
 @kernel
+def occupied_cells(cell: np.ndarray, cells: int) -> np.ndarray:
+    """(cells,) bool: polar cells with a point; cell (N,) int32 as in ``Levelled``."""
+    occupied = np.zeros(cells + 1, np.bool_)
+    for i in range(len(cell)):
+        occupied[cell[i] + 1] = True  # the first is that of ``CLIPPED``
+    return occupied[1:]
+
+
+@kernel
 def cell_heights(levelled: Levelled, s: GroundSettings, histogram: np.ndarray) -> np.ndarray:
     """(rings, sectors) float32 low percentile of the heights in each cell, NaN where there are too few points.
 
