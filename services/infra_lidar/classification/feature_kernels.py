@@ -40,6 +40,7 @@ _HULL = _ASPECT + 1
 _BAND = _HULL + 1
 _BINS = 256
 _EPS = 1e-9
+_MILLIONTHS = np.float32(1e6)
 _STEP_RAD = math.pi / DIRECTIONS
 
 
@@ -227,13 +228,13 @@ def _hull_fill(u: np.ndarray, v: np.ndarray, length: float, width: float) -> flo
     """
     support = np.empty(2 * DIRECTIONS)
     for k in range(DIRECTIONS):
-        a = np.float32(math.cos(k * _STEP_RAD) / length)
-        b = np.float32(math.sin(k * _STEP_RAD) / width)
-        low = high = np.float32(0.0)
-        for i in range(u.size):
-            reach = a * u[i] + b * v[i]
+        a = np.float32(math.cos(k * _STEP_RAD) / length) * _MILLIONTHS
+        b = np.float32(math.sin(k * _STEP_RAD) / width) * _MILLIONTHS
+        low = high = np.int32(0)
+        for i in range(u.size):  # in millionths: the compiler vectorises minima of whole numbers, not of floats
+            reach = np.int32(a * u[i] + b * v[i])
             low, high = min(low, reach), max(high, reach)
-        support[k], support[k + DIRECTIONS] = high, -low
+        support[k], support[k + DIRECTIONS] = high / _MILLIONTHS, -low / _MILLIONTHS
     area, cos, sin = 0.0, math.cos(_STEP_RAD), math.sin(_STEP_RAD)
     for k in range(2 * DIRECTIONS):
         edge = (support[k - 1] + support[(k + 1) % (2 * DIRECTIONS)] - 2.0 * cos * support[k]) / sin

@@ -97,11 +97,11 @@ class Ground:
         plane = self.surface[ring, np.minimum((turn * s.sectors).astype(int), s.sectors - 1)]
         return np.asarray(plane[:, 0] + plane[:, 1] * x_m + plane[:, 2] * y_m, np.float32)
 
-    def sectors_seen(self, levelled: Levelled) -> int:
-        """Number of sectors with a point inside the limits."""
-        s = self._settings
-        occupied = kernels.occupied_cells(levelled.cell, s.rings * s.sectors)
-        return int(occupied.reshape(s.rings, s.sectors).any(axis=0).sum())
+    def sectors_seen(self, cell: np.ndarray) -> int:
+        """Number of sectors with a point inside the limits; cell: (N,) int32 as in ``Levelled``."""
+        occupied = np.zeros(self._settings.sectors, bool)
+        occupied[cell[cell != kernels.CLIPPED] % self._settings.sectors] = True
+        return int(occupied.sum())
 
     @property
     def nbytes(self) -> int:

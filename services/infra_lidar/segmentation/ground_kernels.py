@@ -12,6 +12,7 @@ CLIPPED = -1  # cell of a point outside the range or height limits
 MIN_RANGE_M, MAX_RANGE_M = np.float32(0.5), np.float32(1e4)  # nearer is the housing, or (0, 0, 0) for no return
 FINE_M = 0.64  # heights up to this far from the calibration plane are counted in fine bins
 FINE_PER_M, COARSE_PER_M = 200.0, 50.0  # bins of 5 mm and of 2 cm
+BLOCK = 16  # bins
 
 
 class GroundSettings(NamedTuple):
@@ -93,15 +94,6 @@ def polar_cells(x: np.ndarray, y: np.ndarray, z: np.ndarray, azimuth: np.ndarray
 
 
 @kernel
-def occupied_cells(cell: np.ndarray, cells: int) -> np.ndarray:
-    """(cells,) bool: polar cells with a point; cell (N,) int32 as in ``Levelled``."""
-    occupied = np.zeros(cells + 1, np.bool_)
-    for i in range(len(cell)):
-        occupied[cell[i] + 1] = True  # the first is that of ``CLIPPED``
-    return occupied[1:]
-
-
-@kernel
 def cell_heights(levelled: Levelled, s: GroundSettings, histogram: np.ndarray) -> np.ndarray:
     """(rings, sectors) float32 low percentile of the heights in each cell, NaN where there are too few points.
 
@@ -150,8 +142,18 @@ def height_of(place: float) -> float:
 
 @kernel
 def _place_of_rank(histogram: np.ndarray, rank: int) -> float:
-    """Bin, and place within it, of the point of a rank; the points of a bin are taken as evenly spread."""
-    below, b = 0, 0
+    """Bin, and place within it, of the point of a rank; the points of a bin are taken as evenly spread.
+
+    Blocks of bins are added first: most of them are empty.
+    """
+    below, b, block = 0, 0, 0
+    while b + BLOCK < len(histogram):
+        block = 0
+        for k in range(b, b + BLOCK):
+            block += histogram[k]
+        if below + block > rank:
+            break
+        below, b = below + block, b + BLOCK
     while below + histogram[b] <= rank and b < len(histogram) - 1:
         below += histogram[b]
         b += 1
@@ -188,14 +190,15 @@ def _split(above_m: np.ndarray, s: GroundSettings) -> tuple[np.ndarray, np.ndarr
 
     NaN is neither. No branch depends on a point, so that the processor need not guess.
     """
-    n, m = len(above_m), 0
-    index, is_ground = np.empty(n, np.int32), np.empty(n, np.bool_)
+    n, m = len(above_m), np.uint32(0)
+    index, is_ground, is_obstacle = np.empty(n, np.int32), np.empty(n, np.bool_), np.empty(n, np.uint8)
     low, high, hole = np.float32(-s.below_m), np.float32(s.above_m), np.float32(s.hole_m)
     for i in range(n):
         is_ground[i] = (above_m[i] >= low) & (above_m[i] <= high)
+        is_obstacle[i] = (above_m[i] > high) | (above_m[i] < hole)
     for i in range(n):
         index[m] = i
-        m += (above_m[i] > high) | (above_m[i] < hole)
+        m += np.uint32(is_obstacle[i])
     return index[:m], is_ground
 
 

@@ -143,9 +143,10 @@ class Scene:
         return self.background.subtract_background(returns, self._config.blindness.near_m)
 
     def _segment_whole(self, stamp_ns: int, returns: Returns, calibration: Calibration) -> Segmentation:
-        levelled = self.ground.level_only(points_of(returns), calibration.T_level_sensor)
+        points = points_of(returns)
+        levelled = self.ground.level_only(points, calibration.T_level_sensor)
         obstacles = self.ground.remove_levelled(levelled)
-        self._watch_sensor(stamp_ns, sample_of(returns, SAMPLE_EVERY), levelled)
+        self._watch_sensor(stamp_ns, points[::SAMPLE_EVERY], levelled, SAMPLE_EVERY)
         return Segmentation(
             obstacles, FrameStatistics(levelled.returns, levelled.near, self._beams, self._sectors), None
         )
@@ -162,12 +163,15 @@ class Scene:
         statistics = FrameStatistics(foreground.returns, foreground.near, self._beams, self._sectors)
         return Segmentation(obstacles, statistics, BackgroundMask(returns, model, foreground.index))
 
-    def _watch_sensor(self, stamp_ns: int, sample: np.ndarray, levelled: Levelled) -> None:
-        """Count the beams in a sample of the points and the sectors of levelled points; watch for a nudge."""
+    def _watch_sensor(self, stamp_ns: int, sample: np.ndarray, levelled: Levelled, every: int = 1) -> None:
+        """Count the beams in a sample of the points and the sectors of levelled points; watch for a nudge.
+
+        every: the sample is every so manieth of the levelled points.
+        """
         if not self._complete:
             return
         self._beams = _beams_in(sample)
-        self._sectors = self.ground.sectors_seen(levelled)
+        self._sectors = self.ground.sectors_seen(levelled.cell[::every])
         if self._monitor.due(stamp_ns):
             self._monitor.monitor(stamp_ns, np.stack((levelled.x, levelled.y, levelled.z), axis=1))
 
