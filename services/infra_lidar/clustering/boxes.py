@@ -147,3 +147,21 @@ def join_groups(groups: Groups, group: np.ndarray, kept: np.ndarray) -> Groups:
         at += 1
         out.offsets[at] = to
     return out
+
+
+@kernel
+def keep_groups(groups: Groups, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Points (S, 3) float32, members, offsets and box of the clusters with ``kept`` (K,) bool, as in ``Groups``."""
+    number = np.diff(groups.offsets)[kept]
+    offsets = np.zeros(len(number) + 1, np.int32)
+    for k in range(len(number)):
+        offsets[k + 1] = offsets[k] + number[k]
+    points, members, to = np.empty((offsets[-1], 3), np.float32), np.empty(offsets[-1], np.int32), np.uint32(0)
+    for k in range(len(kept)):
+        if kept[k]:
+            for i in range(groups.offsets[k], groups.offsets[k + 1]):
+                members[to] = groups.members[i]
+                points[to, 0], points[to, 1] = groups.points[i, 0], groups.points[i, 1]
+                points[to, 2] = groups.points[i, 2]
+                to += np.uint32(1)
+    return points, members, offsets, groups.box[kept]

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from services.infra_lidar.clustering.attach_returns import attach_single_returns
-from services.infra_lidar.clustering.boxes import Groups, group_by_label, join_groups
-from services.infra_lidar.clustering.grid import CellGrid
+from services.infra_lidar.clustering.boxes import Groups, group_by_label, join_groups, keep_groups
+from services.infra_lidar.clustering.grid import CellGrid, cells_of
 from services.infra_lidar.clustering.label import CellLabeller, extract_overhang, tall_components
 from services.infra_lidar.clustering.merge_vehicles import footprints, merge_fragments
 from services.infra_lidar.clustering.split_people import split_pedestrian_groups
@@ -94,18 +94,18 @@ class Clustering:
             groups = join_groups(groups, group, np.bincount(group, counts, len(group)) >= config.min_points)
 
         # What has a possible size is kept
-        groups = join_groups(groups, np.arange(len(groups.box), dtype=np.int32), self._has_possible_size(groups))
-        return ClusterPoints(np.ascontiguousarray(groups.points[:, :3]), groups.members, groups.offsets, groups.box)
+        return ClusterPoints(*keep_groups(groups, self._has_possible_size(groups)))
 
     def _label(self, points: np.ndarray) -> np.ndarray:
         """(M,) int32 component of each point, -1 = none."""
         body_m = np.float32(self._config.body_height_m or np.inf)
         above_m = np.ascontiguousarray(points[:, 3])  # one type for the kernels, however few points there are
-        label, components = self._cells.label(points, above_m < body_m)
+        cell = cells_of(points, self._grid.scale)
+        label, components = self._cells.label(cell, above_m < body_m)
         tall = tall_components(above_m, label, components, body_m, np.float32(self._config.max_height_m))
         overhang = extract_overhang(above_m, label, tall, body_m)
         if len(overhang):
-            own, _ = self._cells.label(points[overhang], np.ones(len(overhang), np.bool_))
+            own, _ = self._cells.label(cell[overhang], np.ones(len(overhang), np.bool_))
             label[overhang] = np.where(own >= 0, own + components, -1)
         return label
 

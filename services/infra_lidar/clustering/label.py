@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.clustering.grid import CellGrid, cells_of
+from services.infra_lidar.clustering.grid import CellGrid
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.jit import kernel
 
@@ -24,13 +24,12 @@ class CellLabeller:
         self._grid, self._min_cell_points, self._eight = grid, config.min_cell_points, config.connectivity == 8
         self._node_of_cell = np.full(grid.side * grid.side, -1, np.int32)
 
-    def label(self, points: np.ndarray, fills: np.ndarray) -> tuple[np.ndarray, int]:
+    def label(self, cell: np.ndarray, fills: np.ndarray) -> tuple[np.ndarray, int]:
         """Component of each point.
 
-        points: (M, 4) float32, x and y (m) first. fills: (M,) bool, the points that occupy cells; the others only take
-        the label of the cell that they lie in. Returns (M,) int32 labels 0..K-1, -1 = the cell is not occupied; and K.
+        cell: (M,) int32, as by ``cells_of``. fills: (M,) bool, the points that occupy cells; the others only take the
+        label of the cell that they lie in. Returns (M,) int32 labels 0..K-1, -1 = the cell is not occupied; and K.
         """
-        cell = cells_of(points, self._grid.scale)
         cells, count = occupy(cell, fills, self._node_of_cell)
         components, number = join_cells(
             cells, count >= self._min_cell_points, self._node_of_cell, self._grid.side, self._eight
