@@ -45,7 +45,7 @@ def _inner_neighbours(filled: np.ndarray, trend: np.ndarray, trust: np.ndarray, 
     """Weighted mean height, rise and trust of the three cells of the inner ring next to sector k."""
     sectors = len(filled)
     weights, level, rise, known = NO_TRUST, 0.0, 0.0, NO_TRUST
-    for n in ((k - 1) % sectors, k, (k + 1) % sectors):
+    for n in (k - 1 if k > 0 else sectors - 1, k, k + 1 if k < sectors - 1 else 0):
         w = trust[n] * (2.0 if n == k else 1.0) + NO_TRUST
         level += w * filled[n]
         rise += w * trend[n]
@@ -61,13 +61,13 @@ def _tangent_planes(filled: np.ndarray, trust: np.ndarray, ring_m: float) -> np.
     surface = np.empty((rings, sectors, 3), np.float32)
     angle = (np.arange(sectors) + 0.5) * (2.0 * np.pi / sectors) - np.pi
     cosine, sine = np.cos(angle), np.sin(angle)
+    beside = (np.arange(-1, sectors + 1) % sectors).astype(np.uint32)  # sector k has beside[k : k + 3] around it
     for r in range(rings):
         for k in range(sectors):
             cx, cy = (r + 0.5) * ring_m * cosine[k], (r + 0.5) * ring_m * sine[k]
             sxx, sxy, syy, sxz, syz = 1e-3, 0.0, 1e-3, 0.0, 0.0
             for n in range(max(r - 1, 0), min(r + 2, rings)):
-                for dk in range(-1, 2):
-                    m = (k + dk) % sectors
+                for m in beside[k : k + 3]:
                     x = (n + 0.5) * ring_m * cosine[m] - cx
                     y = (n + 0.5) * ring_m * sine[m] - cy
                     z = filled[n, m] - filled[r, k]

@@ -21,6 +21,7 @@ from services.infra_lidar.sensor_health import FrameStatistics
 MIN_SHARE = 0.6  # of a cluster's points that must lie within fixed things
 ROAD_USER_CONFIDENCE = 0.5  # a cluster that may be a road user keeps its place from becoming background; unknown is 0.5
 SAMPLE_EVERY = 13  # of the points; an odd step, so that every beam is among them
+WATCH_EVERY = 4  # frames between looks at what the sensor sees
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +71,7 @@ class Scene:
         self._map_cells = MapCells(config.clustering, config.ground.range_max_m)
         self._occupancy: Occupancy | None = None  # while the background is learned
         self.background = Background(config.background, self._on_these_grids(stored))
-        self._beams, self._sectors = 0, 0
+        self._beams, self._sectors, self._unwatched = 0, 0, WATCH_EVERY
         self._complete = True
 
     def segment(self, stamp_ns: int, returns: Returns, calibration: Calibration, complete: bool = True) -> Segmentation:
@@ -146,7 +147,9 @@ class Scene:
         points = points_of(returns)
         levelled = self.ground.level_only(points, calibration.T_level_sensor)
         obstacles = self.ground.remove_levelled(levelled)
-        self._watch_sensor(stamp_ns, points[::SAMPLE_EVERY], levelled, SAMPLE_EVERY)
+        self._unwatched += 1
+        if self._unwatched >= WATCH_EVERY or self._monitor.due(stamp_ns):
+            self._watch_sensor(stamp_ns, points[::SAMPLE_EVERY], levelled, SAMPLE_EVERY)
         return Segmentation(
             obstacles, FrameStatistics(levelled.returns, levelled.near, self._beams, self._sectors), None
         )
@@ -170,6 +173,7 @@ class Scene:
         """
         if not self._complete:
             return
+        self._unwatched = 0
         self._beams = _beams_in(sample)
         self._sectors = self.ground.sectors_seen(levelled.cell[::every])
         if self._monitor.due(stamp_ns):
