@@ -10,7 +10,7 @@ import numpy as np
 from common.geometry import transform_points
 from services.infra_lidar.classification.classes import CLASSES
 from services.infra_lidar.classification.features import compute_features
-from services.infra_lidar.clustering.grid import CellGrid
+from services.infra_lidar.clustering.grid import CellGrid, cells_of
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.result import FrameResult
 
@@ -129,6 +129,5 @@ class SiteRecorder:
 
     def _places(self, points: np.ndarray, height_m: np.ndarray) -> np.ndarray:
         """(M,) int32 place of each point (M, 3), level frame, at a height above the road (m)."""
-        row, column = self._grid.cells(points[:, 0], points[:, 1])
-        side = self._grid.side
-        return ((height_m >= BODY_M) * side**2 + row * side + column).astype(np.int32)
+        high = height_m >= BODY_M
+        return (high * self._grid.side**2 + cells_of(points, self._grid.scale)).astype(np.int32)

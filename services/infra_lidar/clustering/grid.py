@@ -10,7 +10,7 @@ from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.jit import kernel
 
 ONE, FOUR = np.float32(1.0), np.float32(4.0)
-THIRD, FIFTH, SEVENTH, NINTH = (np.float32(1.0 / odd) for odd in (3, 5, 7, 9))
+SERIES = np.array([1.0 / odd for odd in (13, 11, 9, 7, 5, 3, 1)], np.float32)  # of artanh(w) / w in powers of w^2
 
 
 class CellScale(NamedTuple):
@@ -37,20 +37,13 @@ class CellGrid:
         self.per_m, self.growth_per_m = np.float32(1.0 / c), np.float32(1.0 / g if g > 0 else 0.0)
         self.scale = CellScale(self.side, self.per_m, self.growth_per_m)
 
-    def cells(self, x_m: np.ndarray, y_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Row and column (N,) of places (N,), those outside in the outermost cells."""
-        u = np.hypot(x_m, y_m) * self.growth_per_m
-        scale = self.per_m * np.divide(np.log1p(u), u, out=np.ones_like(u), where=u > 0)
-        row, column = (np.floor(v * scale).astype(np.int64) + self.side // 2 for v in (y_m, x_m))
-        return np.clip(row, 0, self.side - 1), np.clip(column, 0, self.side - 1)
-
 
 @kernel
 def cells_of(points: np.ndarray, grid: CellScale) -> np.ndarray:
     """(M,) int32 index of the cell, row * side + column, of points (M, 2 or more) float32 with x and y first (m).
 
     Places outside count to the outermost cells. The logarithm is taken as the first terms of its series, ln(1 + u) =
-    4 artanh((t - 1) / (t + 1)) with t the root of 1 + u. Far off a cell differs from f by two thousandths at r = 20 g.
+    4 artanh((t - 1) / (t + 1)) with t the root of 1 + u: exact to a millionth up to r = 5 g.
     """
     n, side, half, last = len(points), np.int32(grid.side), np.int32(grid.side // 2), np.int32(grid.side - 1)
     x, y, cell = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.int32)
@@ -63,7 +56,9 @@ def cells_of(points: np.ndarray, grid: CellScale) -> np.ndarray:
             inverse = ONE / (t + ONE)
             w = (t - ONE) * inverse
             q = w * w
-            series = q * (q * (q * (q * NINTH + SEVENTH) + FIFTH) + THIRD) + ONE
+            series = SERIES[0]
+            for term in SERIES[1:]:
+                series = series * q + term
             scale = scale * FOUR * inverse * inverse * series
         row, column = np.int32(np.floor(y[i] * scale)) + half, np.int32(np.floor(x[i] * scale)) + half
         cell[i] = min(max(row, np.int32(0)), last) * side + min(max(column, np.int32(0)), last)

@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.clustering.clustering import ClusterPoints
-from services.infra_lidar.clustering.grid import CellGrid
+from services.infra_lidar.clustering.grid import CellGrid, cells_of
 from services.infra_lidar.config import ClusteringConfig
+from services.infra_lidar.jit import kernel
 from services.infra_lidar.segmentation.ground import Obstacles
 
 LOW, HIGH = 0, 1  # layers: below and above a body's height
@@ -30,19 +31,32 @@ class MapCells:
         """Whether a map is on this grid; an empty one is on any."""
         return not static_map.size or (static_map.shape == self.shape and static_map.dtype == bool)
 
-    def cells(self, points: np.ndarray, road_z_m: np.ndarray | float) -> np.ndarray:
-        """(M,) int64 index into the flat map, of points (M, 3+) x, y, z (m) over a road at road_z_m, (M,) or one."""
-        layer = np.where(points[:, 2] >= road_z_m + self._body_m, HIGH, LOW)
-        row, column = self._grid.cells(points[:, 0], points[:, 1])
-        return np.asarray((layer * self._grid.side + row) * self._grid.side + column)
+    def cells(self, points: np.ndarray) -> np.ndarray:
+        """(M,) int64 index into the flat map, of points (M, 4) float32 x, y, z (m) and height above the road (m)."""
+        layer = np.where(points[:, 3] >= self._body_m, HIGH, LOW)
+        return np.asarray(layer * self._grid.side**2 + cells_of(points, self._grid.scale))
 
     def share_within(self, static_map: np.ndarray, clusters: ClusterPoints, ground_z_m: np.ndarray) -> np.ndarray:
         """(K,) share of the points of each cluster within fixed things; ground_z_m: (K,) height of the road there."""
-        if not len(clusters):
-            return np.zeros(0)
-        counts = np.diff(clusters.offsets)
-        within = static_map.ravel()[self.cells(clusters.points, np.repeat(ground_z_m, counts))]
-        return np.asarray(np.add.reduceat(within, clusters.offsets[:-1], dtype=int) / counts)
+        cell, layer_z_m = cells_of(clusters.points, self._grid.scale), ground_z_m + np.float32(self._body_m)
+        return _share_of_each(static_map.reshape(2, -1), cell, clusters.points, clusters.offsets, layer_z_m)
+
+
+@kernel
+def _share_of_each(
+    layers: np.ndarray, cell: np.ndarray, points: np.ndarray, offsets: np.ndarray, layer_z_m: np.ndarray
+) -> np.ndarray:
+    """(K,) share of the points (M, 3) of each cluster in marked cells of layers (2, side * side) bool.
+
+    cell (M,) int32; cluster k is rows offsets[k]:offsets[k + 1], and its second layer begins at layer_z_m[k].
+    """
+    share = np.zeros(len(layer_z_m))
+    for k in range(len(share)):
+        within = 0
+        for i in range(offsets[k], offsets[k + 1]):
+            within += layers[HIGH if points[i, 2] >= layer_z_m[k] else LOW, cell[i]]
+        share[k] = within / (offsets[k + 1] - offsets[k])
+    return share
 
 
 class Occupancy:
@@ -55,8 +69,7 @@ class Occupancy:
 
     def add(self, obstacles: Obstacles, road_user: np.ndarray) -> None:
         """Count a whole frame of N points; road_user: (N,) float32 confidence that a point is of a road user."""
-        points = obstacles.points[:, [0, 1, 3]]  # the last is the height above the local road
-        cells, cell_of_point = np.unique(self._cells.cells(points, 0.0), return_inverse=True)
+        cells, cell_of_point = np.unique(self._cells.cells(obstacles.points), return_inverse=True)
         confidence = np.zeros(len(cells), np.float32)
         np.maximum.at(confidence, cell_of_point, road_user[obstacles.index])
         self._occupied[cells] += 1
