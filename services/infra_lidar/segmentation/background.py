@@ -186,8 +186,9 @@ def locate(returns: Returns, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _azimuth(points: np.ndarray) -> np.ndarray:
-    """(N,) float32 rad; NumPy's arctan2 is vectorised, that of a kernel is not."""
-    return np.asarray(np.arctan2(points[:, 1], points[:, 0]))
+    """(N,) float32 rad; NumPy's arctan2 is vectorised, of columns in one piece; that of a kernel is not."""
+    x, y = (np.ascontiguousarray(points[:, axis]) for axis in (0, 1))
+    return np.asarray(np.arctan2(y, x))
 
 
 def _first_cells(image: RangeImage, columns: int) -> np.ndarray:

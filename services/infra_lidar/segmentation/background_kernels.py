@@ -58,17 +58,23 @@ def locate(points: np.ndarray, azimuth: np.ndarray, grid: Grid) -> tuple[np.ndar
     azimuth: (N,) float32 rad, arctan2(y, x).
     """
     n = len(points)
-    cell, range_m = np.empty(n, np.int32), np.empty(n, np.float32)
+    cell, range_m, row = np.empty(n, np.int32), np.empty(n, np.float32), np.empty(n, np.int32)
     for i in range(n):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         range_m[i] = np.sqrt(x * x + y * y + z * z)
-        cell[i] = NO_RETURN
-        if MIN_RANGE_M < range_m[i] < MAX_RANGE_M:
-            has_rings = points.shape[1] > 4
-            row = points[i, 4] if has_rings else z / range_m[i] * ROWS_PER_RAD + grid.rows // 2
-            turn = (azimuth[i] + np.pi) / (2.0 * np.pi)
-            column = min(int(turn * grid.columns), grid.columns - 1)
-            cell[i] = column * grid.rows + min(max(int(row), 0), grid.rows - 1)
+    if points.shape[1] > 4:
+        for i in range(n):
+            row[i] = np.int32(points[i, 4])
+    else:
+        for i in range(n):
+            row[i] = np.int32(points[i, 2] / range_m[i] * ROWS_PER_RAD + grid.rows // 2) if range_m[i] > 0 else 0
+    rows, last_row, last_column = np.int32(grid.rows), np.int32(grid.rows - 1), np.int32(grid.columns - 1)
+    per_rad = grid.columns / (2.0 * np.pi)
+    for i in range(n):  # no branch depends on a point: the compiler vectorises it
+        is_return = (range_m[i] > MIN_RANGE_M) & (range_m[i] < MAX_RANGE_M)
+        column = min(np.int32((azimuth[i] + np.pi) * per_rad), last_column)
+        at = column * rows + min(max(row[i], np.int32(0)), last_row)
+        cell[i] = at if is_return else np.int32(NO_RETURN)
     return cell, range_m
 
 
@@ -172,12 +178,6 @@ def _interval(modes: RangeModes, c: int, mode: int, tolerance: Tolerance) -> tup
 
 
 @kernel
-def _is_background(range_m: float, intervals_m: np.ndarray, c: int) -> bool:
-    first = (range_m >= intervals_m[0, c]) & (range_m <= intervals_m[1, c])
-    return first | ((range_m >= intervals_m[2, c]) & (range_m <= intervals_m[3, c]))
-
-
-@kernel
 def foreground_of_points(
     points: np.ndarray, azimuth: np.ndarray, grid: Grid, intervals_m: np.ndarray, near_m: float
 ) -> tuple[np.ndarray, np.ndarray, int, int]:
@@ -186,20 +186,24 @@ def foreground_of_points(
     intervals_m: (4, cells) as in ``background.BackgroundModel``.
     """
     cell, range_m = locate(points, azimuth, grid)
-    index, m, returns, near = np.empty(len(points), np.int32), 0, 0, 0
-    for i in range(len(points)):
-        if cell[i] == NO_RETURN:
-            continue
-        returns += 1
-        near += range_m[i] < near_m
-        if not _is_background(range_m[i], intervals_m, cell[i]):
-            index[m] = i
-            m += 1
+    near_1, far_1, near_2, far_2 = intervals_m
+    n, returns, near = len(points), np.int32(0), np.int32(0)
+    is_foreground = np.empty(n, np.uint8)
+    for i in range(n):
+        r, is_return, c = range_m[i], cell[i] != NO_RETURN, np.uint32(max(cell[i], np.int32(0)))
+        known = ((r >= near_1[c]) & (r <= far_1[c])) | ((r >= near_2[c]) & (r <= far_2[c]))
+        is_foreground[i] = is_return & (not known)
+        returns += np.int32(is_return)
+        near += np.int32(is_return & (r < near_m))
+    index, m = np.empty(n, np.int32), np.uint32(0)
+    for i in range(n):
+        index[m] = i
+        m += np.uint32(is_foreground[i])
     foreground = np.empty((m, 3), np.float32)
     for k in range(m):
         for axis in range(3):
             foreground[k, axis] = points[index[k], axis]
-    return foreground, index[:m], returns, near
+    return foreground, index[:m], int(returns), int(near)
 
 
 @kernel
@@ -213,13 +217,14 @@ def foreground_of_image(
         out = is_foreground[row * width : (row + 1) * width]
         row_returns, row_near = _compare_row(image.range_m[row], intervals_m, first[row], np.float32(near_m), out)
         returns, near = returns + row_returns, near + row_near
-    index, m = np.empty(rows * width, np.int32), 0
+    index, m = np.empty(rows * width, np.int32), np.uint32(0)
     for i in range(rows * width):  # no branch depends on a range, so that the processor need not guess
         index[m] = i
-        m += is_foreground[i]
-    points = np.empty((m, 3), np.float32)
+        m += np.uint32(is_foreground[i])
+    points, wide = np.empty((m, 3), np.float32), np.uint32(width)
     for k in range(m):
-        write_xyz(image, index[k] // width, index[k] % width, points[k])
+        row = np.uint32(index[k]) // wide
+        write_xyz(image, row, np.uint32(index[k]) - row * wide, points[k])
     return points, index[:m], returns, near
 
 

@@ -218,22 +218,20 @@ def label_with_map(
     foreground: (n, 3) float32 m, sensor frame, all of them returns. frame_index: (n,) int32 index in the frame.
     Returns points, index and is_ground (n,) of ``ground.Obstacles``.
     """
-    n, T = len(foreground), T_level_sensor
-    level, above = np.empty((n, 3), np.float32), np.empty(n, np.float32)
-    half, last, per_m = len(road.height_m) // 2, len(road.height_m) - 1, np.float32(1.0 / road.cell_m)
+    n, above = len(foreground), np.empty(len(foreground), np.float32)
+    x, y, z, _, _ = level(foreground, T_level_sensor, 0.0)
+    last, per_m = np.int32(len(road.height_m) - 1), np.float32(1.0 / road.cell_m)
+    half = np.float32(len(road.height_m) // 2)
     low_m, high_m = np.float32(s.height_min_m), np.float32(s.height_max_m)
     for i in range(n):
-        a, b, c = foreground[i, 0], foreground[i, 1], foreground[i, 2]
-        for axis in range(3):
-            level[i, axis] = T[axis, 0] * a + T[axis, 1] * b + T[axis, 2] * c + T[axis, 3]
-        row = min(max(int(level[i, 1] * per_m + half), 0), last)
-        column = min(max(int(level[i, 0] * per_m + half), 0), last)
-        z = level[i, 2]
-        above[i] = z - road.height_m[row, column] if (z >= low_m) & (z <= high_m) else np.float32(np.nan)
+        row = np.uint32(min(max(np.int32(y[i] * per_m + half), np.int32(0)), last))
+        column = np.uint32(min(max(np.int32(x[i] * per_m + half), np.int32(0)), last))
+        road_z_m = road.height_m[row, column]
+        above[i] = z[i] - road_z_m if (z[i] >= low_m) & (z[i] <= high_m) else np.float32(np.nan)
     chosen, is_ground = _split(above, s)
     points, index = np.empty((len(chosen), 4), np.float32), np.empty(len(chosen), np.int32)
     for m in range(len(chosen)):
         i = chosen[m]
-        points[m, 0], points[m, 1], points[m, 2], points[m, 3] = level[i, 0], level[i, 1], level[i, 2], above[i]
+        points[m, 0], points[m, 1], points[m, 2], points[m, 3] = x[i], y[i], z[i], above[i]
         index[m] = frame_index[i]
     return points, index, is_ground
