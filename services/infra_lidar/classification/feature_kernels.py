@@ -15,6 +15,7 @@ from services.infra_lidar.jit import kernel
 
 SLICES = 5
 DIRECTIONS = 8  # of the supporting lines around the hull; each is used to both sides
+MOST_POINTS = 4096  # of a cluster: more do not change its features
 RANKS = (0.05, 0.10, 0.25, 0.50, 0.75, 0.95)
 
 EXTENT_NAMES = (
@@ -51,13 +52,16 @@ def cluster_features(
     """Fill out (K, F) float32, columns as in ``FEATURE_NAMES``.
 
     points (M, 3) float32 grouped by offsets (K + 1,), none of the clusters empty; ground_z_m (K,) float32.
-    ``hull_fill`` is 0 without ``hull``, ``BAND_NAMES`` are without ``bands``.
+    ``hull_fill`` is 0 without ``hull``, ``BAND_NAMES`` are without ``bands``. Of a cluster with more than
+    ``MOST_POINTS`` points every second, third ... point is looked at.
     """
     for k in range(len(offsets) - 1):
-        cluster = points[offsets[k] : offsets[k + 1]]
+        number = offsets[k + 1] - offsets[k]
+        cluster = points[offsets[k] : offsets[k + 1] : number // MOST_POINTS + 1]
         local = np.empty((5, len(cluster)), np.float32)  # each row in one piece
         mean = _centre(cluster, local)
         _fill_row(local, mean, ground_z_m[k], hull, bands, out[k])
+        _count_columns(number, out[k])
 
 
 @kernel
@@ -79,26 +83,31 @@ def _centre(cluster: np.ndarray, local: np.ndarray) -> np.ndarray:
 def _fill_row(local: np.ndarray, mean: np.ndarray, ground_z_m: float, hull: bool, bands: bool, row: np.ndarray) -> None:
     """local (5, n): x, y, z about the mean, and room for the place along and across the main axis."""
     z, u, v = local[2], local[3], local[4]
-    n, base = len(z), mean[2] - ground_z_m
+    base = mean[2] - ground_z_m
     row[:] = 0.0
     cos, sin = _moment_columns(local, row)
     length, width = _turn(local, cos, sin)
     low, high = _minmax(z)
     tall, area = high - low, length * width
     spread = math.sqrt(length * length + width * width)
-    row[0], row[1], row[2], row[3], row[4], row[5] = n, length, width, spread, area, tall
+    row[1], row[2], row[3], row[4], row[5] = length, width, spread, area, tall
     row[6] = tall / spread if spread > _EPS else 0.0
-    solid = area * math.sqrt(tall)
-    row[7] = n / solid if solid > 1e-6 else 0.0
     row[8], row[9], row[10] = area * tall, base + low, base + high
     row[11] = math.hypot(mean[0], mean[1])
-    row[12] = math.log(n) + 2.0 * math.log(max(row[11], 1.0))
     _height_columns(z, low, high, base, row)
     _slice_columns(local, low, high, row)
     if bands:
         band_columns(local, mean, base, row[_BAND:])
     if hull and area > 1e-6:
         row[_HULL] = _hull_fill(u, v, length, width)
+
+
+@kernel
+def _count_columns(number: int, row: np.ndarray) -> None:
+    """Number of points, density, and points by range: what does not follow from the shape."""
+    solid = row[4] * math.sqrt(row[5])
+    row[0], row[7] = number, number / solid if solid > 1e-6 else 0.0
+    row[12] = math.log(number) + 2.0 * math.log(max(row[11], 1.0))
 
 
 @kernel

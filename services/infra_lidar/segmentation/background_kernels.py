@@ -223,8 +223,8 @@ def foreground_of_image(
         m += np.uint32(is_foreground[i])
     points, wide = np.empty((m, 3), np.float32), np.uint32(width)
     for k in range(m):
-        row = np.uint32(index[k]) // wide
-        write_xyz(image, row, np.uint32(index[k]) - row * wide, points[k])
+        in_row = np.uint32(index[k]) // wide
+        write_xyz(image, int(in_row), int(np.uint32(index[k]) - in_row * wide), points[k])
     return points, index[:m], returns, near
 
 
