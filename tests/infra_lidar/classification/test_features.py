@@ -8,9 +8,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
+from services.infra_lidar.classification.feature_kernels import MOST_POINTS
 from services.infra_lidar.classification.features import ARTICLE_19, FEATURE_NAMES, compute_features
 
 ALL = FEATURE_NAMES
+COUNTED = ("num_points", "density", "points_by_range")
 # What is told from heights in 255 bins, and by how many bins it may be off
 RANKED = {"z_25": 1, "z_median": 1, "z_75": 1, "z_range_cleaned": 2, "ground_gap_ratio": 2}
 
@@ -68,7 +70,7 @@ def test_every_feature_equals_its_plain_definition() -> None:
         cluster(2, 90, (0.5, 0.6, 1.7), (-33.0, 4.0)),
         cluster(3, 25, (1.7, 0.6, 1.6), (5.0, 60.0)),
         cluster(4, 12, (11.0, 2.5, 3.0), (15.0, 15.0)),
-        cluster(5, 1500, (6.0, 0.4, 2.0), (-8.0, -8.0)),
+        cluster(5, 1000, (6.0, 0.4, 2.0), (-8.0, -8.0)),
     ]
     ground = np.array([-0.4, 0.0, 1.0, 0.1, 0.0])
     points, offsets = stacked(clusters)
@@ -78,6 +80,17 @@ def test_every_feature_equals_its_plain_definition() -> None:
             if name in ALL:
                 off = RANKED.get(name, 0) / 255 * (1.0 if name == "ground_gap_ratio" else float(np.ptp(one[:, 2])))
                 assert got[k, ALL.index(name)] == pytest.approx(expected, rel=2e-3, abs=2e-4 + off), (name, k)
+
+
+def test_of_a_large_cluster_a_part_is_looked_at_and_all_points_are_counted() -> None:
+    large, counted = cluster(6, 5000, (12.0, 2.5, 3.0), (15.0, 15.0)), [ALL.index(name) for name in COUNTED]
+    whole = compute_features(*stacked([large]), np.zeros(1), ALL)[0]
+    part = compute_features(*stacked([large[:: 5000 // MOST_POINTS + 1]]), np.zeros(1), ALL)[0]
+    shape = np.setdiff1d(np.arange(len(ALL)), counted)
+    assert np.array_equal(whole[shape], part[shape])
+    assert whole[ALL.index("num_points")] == 5000.0
+    sizes = whole[[ALL.index(name) for name in ("x_range", "y_range", "z_range")]]
+    assert sizes == pytest.approx([12.0, 2.5, 3.0], rel=0.05)
 
 
 @given(
