@@ -15,7 +15,7 @@ from services.infra_lidar.jit import kernel
 
 SLICES = 5
 DIRECTIONS = 8  # of the supporting lines around the hull; each is used to both sides
-MOST_POINTS = 1024  # of a cluster: more do not change its features
+MOST_POINTS = 1024  # of a cluster: more hardly change its features
 RANKS = (0.05, 0.10, 0.25, 0.50, 0.75, 0.95)
 
 EXTENT_NAMES = (
