@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from services.infra_lidar.config import BlindnessConfig, InfraLidarConfig
+from benchmarks.infra_lidar.frames import frames_of
+from services.infra_lidar.config import BackgroundConfig, BlindnessConfig, InfraLidarConfig
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.sensor_health import FrameQuality
 
@@ -69,6 +70,14 @@ def test_lost_sight_is_named(scene_frame, spoil, words):
     state, reason = _run(scene_frame("open", 4).points, UNHURRIED, spoil)
     assert state == "degraded"
     assert words in reason
+
+
+def test_a_beam_without_returns_in_a_range_image_is_not_counted():
+    image = frames_of(7, 10, 1, columns=600)[0].image
+    image.range_m[:, 0] = 0.0
+    pipeline = InfraLidarPipeline(InfraLidarConfig(background=BackgroundConfig(enabled=False)))
+    beams = int(np.count_nonzero((image.range_m > 0.0).any(axis=0)))
+    assert pipeline.process(START_NS, image).segmentation.statistics.beams == beams
 
 
 @pytest.mark.parametrize(

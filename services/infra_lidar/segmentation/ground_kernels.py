@@ -12,7 +12,7 @@ CLIPPED = -1  # cell of a point outside the range or height limits
 MIN_RANGE_M, MAX_RANGE_M = np.float32(0.5), np.float32(1e4)  # nearer is the housing, or (0, 0, 0) for no return
 FINE_M = 0.64  # heights up to this far from the calibration plane are counted in fine bins
 FINE_PER_M, COARSE_PER_M = 200.0, 50.0  # bins of 5 mm and of 2 cm
-BLOCK = 16  # bins
+BLOCK = 16  # bins that are added at once
 
 
 class GroundSettings(NamedTuple):

@@ -144,12 +144,11 @@ class Scene:
         return self.background.subtract_background(returns, self._config.blindness.near_m)
 
     def _segment_whole(self, stamp_ns: int, returns: Returns, calibration: Calibration) -> Segmentation:
-        points = points_of(returns)
-        levelled = self.ground.level_only(points, calibration.T_level_sensor)
+        levelled = self.ground.level_only(points_of(returns), calibration.T_level_sensor)
         obstacles = self.ground.remove_levelled(levelled)
         self._unwatched += 1
         if self._unwatched >= WATCH_EVERY or self._monitor.due(stamp_ns):
-            self._watch_sensor(stamp_ns, points[::SAMPLE_EVERY], levelled, SAMPLE_EVERY)
+            self._watch_sensor(stamp_ns, sample_of(returns, SAMPLE_EVERY), levelled, SAMPLE_EVERY)
         return Segmentation(
             obstacles, FrameStatistics(levelled.returns, levelled.near, self._beams, self._sectors), None
         )
@@ -169,7 +168,7 @@ class Scene:
     def _watch_sensor(self, stamp_ns: int, sample: np.ndarray, levelled: Levelled, every: int = 1) -> None:
         """Count the beams in a sample of the points and the sectors of levelled points; watch for a nudge.
 
-        every: the sample is every so manieth of the levelled points.
+        every: sectors are counted in every so manieth of the levelled points.
         """
         if not self._complete:
             return
