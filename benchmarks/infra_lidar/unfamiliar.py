@@ -21,7 +21,7 @@ from benchmarks.infra_lidar.foreign import distance_fields, meshes, superquadric
 from benchmarks.infra_lidar.motorway import ROADSIDE_MAST, VEHICLES, EmptyRoad, pictures
 from services.infra_lidar.calibration.plane_fit import Calibrator
 from services.infra_lidar.classification.classes import CLASSES, UNKNOWN
-from services.infra_lidar.classification.classifier import Classification, Classifier
+from services.infra_lidar.classification.classifier import Classification, Classifier, without_vehicles
 from services.infra_lidar.classification.features import compute_features
 from services.infra_lidar.clustering.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import CalibrationConfig, ClassifierConfig, ClusteringConfig, GroundConfig
@@ -45,10 +45,13 @@ def find(points: np.ndarray, calibration: CalibrationConfig, classifier: Classif
     """The service's steps on one frame (N, 3), nothing learned before."""
     T = Calibrator(calibration).add(points).T_level_sensor
     ground = Ground(GroundConfig())
-    obstacles = ground.remove(points, T)
+    levelled = ground.level_only(points, T)
+    obstacles = ground.remove_levelled(levelled)
     clusters = Clustering(ClusteringConfig(), GroundConfig().range_max_m).cluster(obstacles)
     road_z_m = np.asarray(ground.road_height(clusters.box[:, 0], clusters.box[:, 1]))
-    return Found(clusters, classifier.extract_and_classify(clusters, road_z_m), obstacles.is_ground)
+    called = classifier.extract_and_classify(clusters, road_z_m)
+    on_drop = ground.find_drops(levelled)[ground.cells_at(clusters.box[:, 0], clusters.box[:, 1])]
+    return Found(clusters, without_vehicles(called, on_drop), obstacles.is_ground)
 
 
 def foreign_sets() -> Iterator[tuple[str, LabelledClusters]]:

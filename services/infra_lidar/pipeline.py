@@ -9,7 +9,7 @@ from common.stopwatch import Stopwatch
 from services.infra_lidar.calibration.monitor import CalibrationMonitor
 from services.infra_lidar.calibration.plane_fit import Calibration
 from services.infra_lidar.classification.classes import BACKGROUND, UNKNOWN
-from services.infra_lidar.classification.classifier import Classifier
+from services.infra_lidar.classification.classifier import Classifier, without_vehicles
 from services.infra_lidar.clustering.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.input.range_image import RangeImage, Returns
@@ -88,7 +88,8 @@ class InfraLidarPipeline:
 
         # 6. Learn the background, as long as there is none.
         if self.config.background.enabled and not segmentation.background_subtracted:
-            learned = self.scene.learn(stamp_ns, returns, segmentation, _road_users(clusters, len(returns)))
+            road_users = _road_users(clusters, self.scene.on_drop(*clusters.box[:, :2].T), len(returns))
+            learned = self.scene.learn(stamp_ns, returns, segmentation, road_users)
             if learned is not None:
                 self.tracker.forget(_vanished(learned, clusters))  # every other track keeps its id
         watch.lap("learn")
@@ -105,7 +106,9 @@ class InfraLidarPipeline:
 
     def _classify(self, segmentation: Segmentation, found: ClusterPoints) -> ClusterSet:
         road_z_m = self.scene.ground.road_height(found.box[:, 0], found.box[:, 1])
-        features, index, confidence, probabilities = self.classifier.extract_and_classify(found, road_z_m)
+        called = self.classifier.extract_and_classify(found, road_z_m)
+        on_drop = self.scene.on_drop(*found.box[:, :2].T)
+        features, index, confidence, probabilities = without_vehicles(called, on_drop)
         self.scene.mark_static(segmentation, found, road_z_m, index)
         return ClusterSet(
             classes=index, confidences=confidence, probabilities=probabilities, box=found.box,
@@ -137,12 +140,12 @@ def _checked(returns: Returns) -> Returns:
     return np.ascontiguousarray(points, dtype=np.float32)
 
 
-def _road_users(clusters: ClusterSet, n: int) -> np.ndarray:
+def _road_users(clusters: ClusterSet, on_drop: np.ndarray, n: int) -> np.ndarray:
     """(N,) float32: confidence that a point is of a road user, 0 where its cluster is background or none.
 
-    What is unknown may be one as well as not.
+    What is unknown may be one as well as not, but not where ``on_drop`` (K,) says that there is no road below it.
     """
-    sure = np.where(clusters.classes == UNKNOWN, 0.5, clusters.confidences)
+    sure = np.where(clusters.classes == UNKNOWN, np.where(on_drop, 0.0, 0.5), clusters.confidences)
     sure, of_point = np.where(clusters.classes == BACKGROUND, 0.0, sure), np.zeros(n, np.float32)
     of_point[clusters.members] = np.repeat(sure, clusters.counts)
     return of_point

@@ -34,6 +34,19 @@ class Classification(NamedTuple):
     probabilities: np.ndarray  # (K, C) float32 over `CLASSES`
 
 
+VEHICLES = CLASSES.index("car"), CLASSES.index("large_vehicle")
+
+
+def without_vehicles(found: Classification, where: np.ndarray) -> Classification:
+    """The same, but what is called a vehicle ``where`` (K,) bool none can stand is unknown: no class is likelier."""
+    doubted = where & np.isin(found.labels, VEHICLES)
+    if not doubted.any():
+        return found
+    probabilities = np.where(doubted[:, None], np.float32(1.0 / len(CLASSES)), found.probabilities)
+    labels = np.where(doubted, UNKNOWN, found.labels)
+    return Classification(found.features, labels, probabilities.max(axis=1), probabilities)
+
+
 def model_path(config: ClassifierConfig) -> Path:
     """The file that is used: the site's, as long as there is one."""
     if config.site_model and Path(config.site_model).exists():

@@ -32,7 +32,8 @@ class BackgroundModel:
     intervals_m: (4, columns * rows) float32, near and far end of two intervals of range in each cell of azimuth x ring.
     is_road: (columns * rows,) bool, the background there is road. background_ratio: share of the returns that were
     background in the last frame of the learning. surface: (rings, sectors, 3) float32, the road at the time, as in
-    ``ground.py``. static_map: (2, side, side) bool as in ``static_map.MapCells``, empty until it is drawn.
+    ``ground.py``. static_map: (2, side, side) bool as in ``static_map.MapCells``. drops: (rings, sectors) bool as in
+    ``drops.py``. Both are empty until they are drawn.
     """
 
     intervals_m: np.ndarray
@@ -42,6 +43,7 @@ class BackgroundModel:
     background_ratio: float
     surface: np.ndarray
     static_map: np.ndarray = field(default_factory=lambda: np.zeros((2, 0, 0), bool))
+    drops: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
 
     @property
     def grid(self) -> Grid:

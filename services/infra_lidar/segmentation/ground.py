@@ -14,6 +14,7 @@ import numpy as np
 
 from services.infra_lidar.config import GroundConfig
 from services.infra_lidar.segmentation import ground_kernels as kernels
+from services.infra_lidar.segmentation.drops import find_drops
 from services.infra_lidar.segmentation.ground_kernels import GroundSettings, Levelled, RoadMap
 from services.infra_lidar.segmentation.ground_surface import sloped_surface
 
@@ -91,11 +92,19 @@ class Ground:
 
     def road_height(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         """(K,) float32 height of the road (m) below positions in the level frame, from ``surface``."""
+        plane = self.surface[self.cells_at(x_m, y_m)]
+        return np.asarray(plane[:, 0] + plane[:, 1] * x_m + plane[:, 2] * y_m, np.float32)
+
+    def cells_at(self, x_m: np.ndarray, y_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Ring and sector (K,) of positions in the level frame; what is beyond the range is in the last ring."""
         s = self._settings
         ring = np.minimum((np.hypot(x_m, y_m) / s.ring_m).astype(int), s.rings - 1)
         turn = (np.arctan2(y_m, x_m) + np.pi) / (2.0 * np.pi)
-        plane = self.surface[ring, np.minimum((turn * s.sectors).astype(int), s.sectors - 1)]
-        return np.asarray(plane[:, 0] + plane[:, 1] * x_m + plane[:, 2] * y_m, np.float32)
+        return ring, np.minimum((turn * s.sectors).astype(int), s.sectors - 1)
+
+    def find_drops(self, levelled: Levelled) -> np.ndarray:
+        """(rings, sectors) bool: cells where the ground lies well below ``surface``, see ``drops.py``."""
+        return find_drops(levelled, self.surface, self._settings)
 
     def sectors_seen(self, cell: np.ndarray) -> int:
         """Number of sectors with a point inside the limits; cell: (N,) int32 as in ``Levelled``."""

@@ -22,6 +22,7 @@ MIN_SHARE = 0.6  # of a cluster's points that must lie within fixed things
 ROAD_USER_CONFIDENCE = 0.5  # a cluster that may be a road user keeps its place from becoming background; unknown is 0.5
 SAMPLE_EVERY = 13  # of the points; an odd step, so that every beam is among them
 WATCH_EVERY = 4  # frames between looks at what the sensor sees
+DROPS_EVERY = 40  # frames between looks for drops: the ground of a fixed sensor does not change
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +72,7 @@ class Scene:
         self._map_cells = MapCells(config.clustering, config.ground.range_max_m)
         self._occupancy: Occupancy | None = None  # while the background is learned
         self.background = Background(config.background, self._on_these_grids(stored))
+        self._drops, self._drops_age = np.zeros(self.ground.surface.shape[:2], bool), DROPS_EVERY
         self._beams, self._sectors, self._unwatched = 0, 0, WATCH_EVERY
         self._complete = True
 
@@ -107,7 +109,9 @@ class Scene:
         self.background.learn(stamp_ns, returns, segmentation.ground, is_road_user, self.ground.surface)
         if self.background.model is None:
             return None
-        self.background.model = replace(self.background.model, static_map=self._occupancy.static_map())
+        self.background.model = replace(
+            self.background.model, static_map=self._occupancy.static_map(), drops=self._drops
+        )
         self._occupancy = None
         foreground = self.background.subtract_background(returns, self._config.blindness.near_m)
         if foreground is None:
@@ -126,14 +130,20 @@ class Scene:
             share = self._map_cells.share_within(model.static_map, clusters, ground_z_m)
             classes[share >= MIN_SHARE] = BACKGROUND
 
+    def on_drop(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        """(K,) bool: positions, level frame, where the ground lies well below the road, so that no vehicle can stand."""
+        return np.asarray(self._drops[self.ground.cells_at(x_m, y_m)])
+
     def restart(self) -> None:
         """Forget the background: the sensor has been moved or turned."""
         self.background.restart()
-        self._occupancy = None
+        self._occupancy, self._drops_age = None, DROPS_EVERY
 
     def _on_these_grids(self, stored: BackgroundModel | None) -> BackgroundModel | None:
         """A stored background, unless it was learned with other cells of the ground or of the clusters."""
         if stored is None or stored.surface.shape != self.ground.surface.shape:
+            return None
+        if stored.drops.shape != stored.surface.shape[:2]:
             return None
         return stored if self._map_cells.fits(stored.static_map) else None
 
@@ -146,6 +156,9 @@ class Scene:
     def _segment_whole(self, stamp_ns: int, returns: Returns, calibration: Calibration) -> Segmentation:
         levelled = self.ground.level_only(points_of(returns), calibration.T_level_sensor)
         obstacles = self.ground.remove_levelled(levelled)
+        self._drops_age += 1
+        if self._drops_age >= DROPS_EVERY:
+            self._drops, self._drops_age = self.ground.find_drops(levelled), 0
         self._unwatched += 1
         if self._unwatched >= WATCH_EVERY or self._monitor.due(stamp_ns):
             self._watch_sensor(stamp_ns, sample_of(returns, SAMPLE_EVERY), levelled, SAMPLE_EVERY)
@@ -158,6 +171,7 @@ class Scene:
     ) -> Segmentation:
         model, T = self.background.model, calibration.T_level_sensor
         assert model is not None
+        self._drops = model.drops
         if self._monitor.due(stamp_ns):  # the calibration is checked on the road, which is background
             sample = sample_of(returns, SAMPLE_EVERY)
             self._watch_sensor(stamp_ns, sample, self.ground.level_only(sample, T))
