@@ -14,10 +14,11 @@ from services.infra_lidar.segmentation.ground_kernels import CLIPPED, GroundSett
 
 DEEP_M = 0.5  # a return this far below the road is of lower ground; mirrored ones are single
 MIN_POINTS = 3
+DEEP_SHARE = 0.25  # of the ground that is seen there
 
 
 def find_drops(levelled: Levelled, surface: np.ndarray, settings: GroundSettings) -> np.ndarray:
-    """(rings, sectors) bool: in this cell and its neighbours more returns lie deep below the road than on it.
+    """(rings, sectors) bool: a good part of the ground seen in this cell and its neighbours lies deep below the road.
 
     levelled: all returns of a frame. surface: (rings, sectors, 3) float32, the road as in ``ground.Ground``.
     """
@@ -27,7 +28,7 @@ def find_drops(levelled: Levelled, surface: np.ndarray, settings: GroundSettings
     deep, flat = _count(levelled, cell, surface.reshape(-1, 3), settings.below_m)
     shape = surface.shape[:2]
     deep, flat = _with_neighbours(deep.reshape(shape)), _with_neighbours(flat.reshape(shape))
-    return np.asarray((deep >= MIN_POINTS) & (deep > flat))
+    return np.asarray((deep >= MIN_POINTS) & (deep > DEEP_SHARE * (deep + flat)))
 
 
 @kernel
