@@ -8,7 +8,7 @@ from common.geometry import invert
 from common.stopwatch import Stopwatch
 from services.infra_lidar.calibration.monitor import CalibrationMonitor
 from services.infra_lidar.calibration.plane_fit import Calibration
-from services.infra_lidar.classification.classes import BACKGROUND, UNKNOWN
+from services.infra_lidar.classification.classes import BACKGROUND, CLASSES, UNKNOWN
 from services.infra_lidar.classification.classifier import Classifier, without_vehicles
 from services.infra_lidar.clustering.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
@@ -21,6 +21,8 @@ from services.infra_lidar.tracking import MultiObjectTracker
 from services.infra_lidar.tracking.detections import detection_records
 
 _IDENTITY = np.eye(4)
+LARGE_VEHICLE = CLASSES.index("large_vehicle")
+PARKED_LARGE_CONFIDENCE = 0.9  # a large vehicle that stands while the background is learned is believed from here on
 
 
 class InfraLidarPipeline:
@@ -88,8 +90,9 @@ class InfraLidarPipeline:
 
         # 6. Learn the background, as long as there is none.
         if self.config.background.enabled and not segmentation.background_subtracted:
-            road_users = _road_users(clusters, self.scene.on_drop(*clusters.box[:, :2].T), len(returns))
-            learned = self.scene.learn(stamp_ns, returns, segmentation, road_users)
+            sure = _road_users(clusters, self.scene.on_drop(*clusters.box[:, :2].T))
+            passing, parked = (_of_points(clusters, value, len(returns)) for value in (sure, _parked(clusters, sure)))
+            learned = self.scene.learn(stamp_ns, returns, segmentation, passing, parked)
             if learned is not None:
                 self.tracker.forget(_vanished(learned, clusters))  # every other track keeps its id
         watch.lap("learn")
@@ -140,14 +143,25 @@ def _checked(returns: Returns) -> Returns:
     return np.ascontiguousarray(points, dtype=np.float32)
 
 
-def _road_users(clusters: ClusterSet, on_drop: np.ndarray, n: int) -> np.ndarray:
-    """(N,) float32: confidence that a point is of a road user, 0 where its cluster is background or none.
+def _road_users(clusters: ClusterSet, on_drop: np.ndarray) -> np.ndarray:
+    """(K,) confidence that a cluster is a road user, 0 where it is background.
 
     What is unknown may be one as well as not, but not where ``on_drop`` (K,) says that there is no road below it.
     """
     sure = np.where(clusters.classes == UNKNOWN, np.where(on_drop, 0.0, 0.5), clusters.confidences)
-    sure, of_point = np.where(clusters.classes == BACKGROUND, 0.0, sure), np.zeros(n, np.float32)
-    of_point[clusters.members] = np.repeat(sure, clusters.counts)
+    return np.where(clusters.classes == BACKGROUND, 0.0, sure)
+
+
+def _parked(clusters: ClusterSet, sure: np.ndarray) -> np.ndarray:
+    """(K,) the same for what stands there all the time: hedges and walls look like buses more often than buses park."""
+    doubtful = (clusters.classes == LARGE_VEHICLE) & (sure < PARKED_LARGE_CONFIDENCE)
+    return np.where(doubtful, 0.0, sure)
+
+
+def _of_points(clusters: ClusterSet, value: np.ndarray, n: int) -> np.ndarray:
+    """(N,) float32: the value (K,) of the cluster of each point, 0 where there is none."""
+    of_point = np.zeros(n, np.float32)
+    of_point[clusters.members] = np.repeat(value, clusters.counts)
     return of_point
 
 

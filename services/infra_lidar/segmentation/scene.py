@@ -90,9 +90,12 @@ class Scene:
         return self._segment_foreground(stamp_ns, returns, foreground, calibration)
 
     def learn(
-        self, stamp_ns: int, returns: Returns, segmentation: Segmentation, road_user: np.ndarray
+        self, stamp_ns: int, returns: Returns, segmentation: Segmentation, passing: np.ndarray, parked: np.ndarray
     ) -> np.ndarray | None:
-        """Teach the background a whole frame; road_user: (N,) float32 confidence that a point is of a road user.
+        """Teach the background a whole frame.
+
+        passing, parked: (N,) float32 confidence that a point is of a road user, if it is there now and then, and if it
+        is there all the time.
 
         Returns (N,) bool, the points that are background from now on, when this frame ended the learning; else None.
         """
@@ -104,8 +107,8 @@ class Scene:
         if self.background.model is not None:
             return None
         self._occupancy = self._occupancy or Occupancy(self._map_cells)
-        self._occupancy.add(segmentation.obstacles, road_user)
-        is_road_user = road_user >= ROAD_USER_CONFIDENCE
+        self._occupancy.add(segmentation.obstacles, parked)
+        is_road_user = passing >= ROAD_USER_CONFIDENCE
         self.background.learn(stamp_ns, returns, segmentation.ground, is_road_user, self.ground.surface)
         if self.background.model is None:
             return None
@@ -131,7 +134,7 @@ class Scene:
             classes[share >= MIN_SHARE] = BACKGROUND
 
     def on_drop(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """(K,) bool: positions, level frame, where the ground lies well below the road, so that no vehicle can stand."""
+        """(K,) bool: positions in the level frame where no vehicle can stand: the ground lies well below the road."""
         return np.asarray(self._drops[self.ground.cells_at(x_m, y_m)])
 
     def restart(self) -> None:
