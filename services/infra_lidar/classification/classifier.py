@@ -39,9 +39,9 @@ VEHICLES = CLASSES.index("car"), CLASSES.index("large_vehicle")
 
 def without_vehicles(found: Classification, where: np.ndarray) -> Classification:
     """The same, but what is called a vehicle ``where`` (K,) bool none can stand is unknown: no class is likelier."""
-    doubted = where & np.isin(found.labels, VEHICLES)
-    if not doubted.any():
+    if not where.any():
         return found
+    doubted = where & np.isin(found.labels, VEHICLES)
     probabilities = np.where(doubted[:, None], np.float32(1.0 / len(CLASSES)), found.probabilities)
     labels = np.where(doubted, UNKNOWN, found.labels)
     return Classification(found.features, labels, probabilities.max(axis=1), probabilities)

@@ -135,6 +135,8 @@ class Scene:
 
     def on_drop(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         """(K,) bool: positions in the level frame where no vehicle can stand: the ground lies well below the road."""
+        if not self._drops.any():
+            return np.zeros(len(x_m), bool)
         return np.asarray(self._drops[self.ground.cells_at(x_m, y_m)])
 
     def restart(self) -> None:
