@@ -32,8 +32,10 @@ from services.jetson.fusion.evidence import FusionMemory
 from services.jetson.fusion.store import Saved
 from services.jetson.fusion.store import Store as FusionStore
 
-ARRAYS = {"intervals_m": np.zeros((4, 12), np.float32), "is_road": np.zeros(12, bool)}
-BACKGROUND = BackgroundModel(columns=4, rows=3, background_ratio=0.5, surface=np.zeros((1, 1, 3), np.float32), **ARRAYS)
+ARRAYS = {"intervals_m": np.zeros((1, 4, 128), np.float32), "is_road": np.zeros(128, bool)}
+BACKGROUND = BackgroundModel(
+    columns=1, rows=128, background_ratio=0.5, surface=np.zeros((1, 1, 3), np.float32), **ARRAYS
+)
 LEVEL = Calibration(np.eye(4), height_m=4.0, tilt_deg=0.0, error_deg=0.1, residual_m=0.01, road_points=9, frames=1)
 
 pytestmark = [pytest.mark.system, pytest.mark.alone]

@@ -19,8 +19,8 @@ from services.infra_lidar.segmentation import background_kernels as kernels
 from services.infra_lidar.segmentation.background_kernels import MODES, NO_RETURN, Grid, RangeModes, Tolerance
 from services.infra_lidar.segmentation.ground_kernels import MAX_RANGE_M, MIN_RANGE_M
 
-RINGS = 128  # rows of the grid where beams are known
-ELEVATIONS = 256  # and where they are not
+RINGS = kernels.BLOCK  # rows of the grid where beams are known
+ELEVATIONS = 2 * kernels.BLOCK  # and where they are not
 MISFIT, MATCH = 0.6, 0.8  # of the usual share of background: less is another scene; as much is the same one
 LOST_FRAMES = 20
 
@@ -29,7 +29,8 @@ LOST_FRAMES = 20
 class BackgroundModel:
     """What is kept on disk.
 
-    intervals_m: (4, columns * rows) float32, near and far end of two intervals of range in each cell of azimuth x ring.
+    intervals_m: (columns * rows / BLOCK, 4, BLOCK) float32, near and far end of two intervals of range in each cell of
+    azimuth x ring; those of BLOCK cells lie together.
     is_road: (columns * rows,) bool, the background there is road. background_ratio: share of the returns that were
     background in the last frame of the learning. surface: (rings, sectors, 3) float32, the road at the time, as in
     ``ground.py``. static_map: (2, side, side) bool as in ``static_map.MapCells``. drops: (rings, sectors) bool as in
@@ -162,7 +163,8 @@ class Background:
         intervals_m[users] = kernels.EMPTY * 2
         is_road = np.zeros(len(users), bool)
         is_road[road_cells] = True
-        model = BackgroundModel(np.ascontiguousarray(intervals_m.T), is_road, *self._grid, 1.0, surface)
+        blocks = np.ascontiguousarray(intervals_m.reshape(-1, kernels.BLOCK, 4).transpose(0, 2, 1))
+        model = BackgroundModel(blocks, is_road, *self._grid, 1.0, surface)
         ratio = foreground_of(returns, model, 0.0).background_ratio
         self.model, self._modes = replace(model, background_ratio=ratio), None
 

@@ -18,6 +18,7 @@ MAX_BEHIND_SHARE = 0.1  # a range that was seen through more often is no backgro
 ROAD_USER_SHARE = 0.3  # a range that belonged to a road user this often is no background
 ROWS_PER_RAD = 256.0  # 0.22 degrees, for clouds without a ring column
 NO_RETURN = -1
+BLOCK = 128  # cells whose intervals lie together in memory: those of a column, where a sensor has 128 beams
 EMPTY = (1.0, 0.0)  # an interval that holds no range
 
 
@@ -183,27 +184,42 @@ def foreground_of_points(
 ) -> tuple[np.ndarray, np.ndarray, int, int]:
     """Points, index, returns and near of ``background.Foreground`` for points and azimuth as ``locate`` takes them.
 
-    intervals_m: (4, cells) as in ``background.BackgroundModel``.
+    intervals_m: (blocks, 4, BLOCK) as in ``background.BackgroundModel``.
     """
     cell, range_m = locate(points, azimuth, grid)
-    near_1, far_1, near_2, far_2 = intervals_m
     n, returns, near = len(points), np.int32(0), np.int32(0)
-    is_foreground = np.empty(n, np.uint8)
+    is_foreground = np.empty(n, np.bool_)
     for i in range(n):
         r, is_return, c = range_m[i], cell[i] != NO_RETURN, np.uint32(max(cell[i], np.int32(0)))
-        known = ((r >= near_1[c]) & (r <= far_1[c])) | ((r >= near_2[c]) & (r <= far_2[c]))
+        block, b = intervals_m[c // np.uint32(BLOCK)], c % np.uint32(BLOCK)
+        known = ((r >= block[0, b]) & (r <= block[1, b])) | ((r >= block[2, b]) & (r <= block[3, b]))
         is_foreground[i] = is_return & (not known)
         returns += np.int32(is_return)
         near += np.int32(is_return & (r < near_m))
-    index, m = np.empty(n, np.int32), np.uint32(0)
-    for i in range(n):
-        index[m] = i
-        m += np.uint32(is_foreground[i])
-    foreground = np.empty((m, 3), np.float32)
-    for k in range(m):
+    index = _places(is_foreground)
+    foreground = np.empty((len(index), 3), np.float32)
+    for k in range(len(index)):
         for axis in range(3):
             foreground[k, axis] = points[index[k], axis]
-    return foreground, index[:m], int(returns), int(near)
+    return foreground, index, int(returns), int(near)
+
+
+@kernel
+def _places(mask: np.ndarray) -> np.ndarray:
+    """(M,) int32 indices where mask (N,) bool is set. Most is background, so eight at a time are passed over."""
+    index, m = np.empty(len(mask), np.int32), np.uint32(0)
+    eight = len(mask) // 8 * 8
+    words = mask[:eight].view(np.uint64)
+    for w in range(len(words)):
+        if words[w] == np.uint64(0):
+            continue
+        for i in range(8 * w, 8 * w + 8):  # no branch depends on a range, so that the processor need not guess
+            index[m] = i
+            m += np.uint32(mask[i])
+    for i in range(eight, len(mask)):
+        index[m] = i
+        m += np.uint32(mask[i])
+    return index[:m]
 
 
 @kernel
@@ -215,27 +231,25 @@ def foreground_of_image(
     is_foreground, returns, near = np.empty(rows * width, np.bool_), 0, 0
     for row in range(rows):
         out = is_foreground[row * width : (row + 1) * width]
-        row_returns, row_near = _compare_row(image.range_m[row], intervals_m, first[row], np.float32(near_m), out)
+        block, begin = intervals_m[first[row] // BLOCK], first[row] % BLOCK
+        row_returns, row_near = _compare_row(image.range_m[row], block, begin, np.float32(near_m), out)
         returns, near = returns + row_returns, near + row_near
-    index, m = np.empty(rows * width, np.int32), np.uint32(0)
-    for i in range(rows * width):  # no branch depends on a range, so that the processor need not guess
-        index[m] = i
-        m += np.uint32(is_foreground[i])
-    points, wide = np.empty((m, 3), np.float32), np.uint32(width)
-    for k in range(m):
+    index = _places(is_foreground)
+    points, wide = np.empty((len(index), 3), np.float32), np.uint32(width)
+    for k in range(len(index)):
         in_row = np.uint32(index[k]) // wide
         write_xyz(image, int(in_row), int(np.uint32(index[k]) - in_row * wide), points[k])
-    return points, index[:m], returns, near
+    return points, index, returns, near
 
 
 @kernel
 def _compare_row(
-    range_m: np.ndarray, intervals_m: np.ndarray, first: int, near_m: np.float32, is_foreground: np.ndarray
+    range_m: np.ndarray, block: np.ndarray, begin: int, near_m: np.float32, is_foreground: np.ndarray
 ) -> tuple[int, int]:
-    """Write is_foreground (W,) bool of ranges (W,) float32, whose cells begin at ``first``; counts returns and near."""
-    last = first + len(range_m)
-    near_1, far_1 = intervals_m[0, first:last], intervals_m[1, first:last]
-    near_2, far_2 = intervals_m[2, first:last], intervals_m[3, first:last]
+    """Write is_foreground (W,) bool of ranges (W,) float32, whose cells are from ``begin`` on in a block (4, BLOCK) of
+    intervals; counts returns and near."""
+    end = begin + len(range_m)
+    near_1, far_1, near_2, far_2 = block[0, begin:end], block[1, begin:end], block[2, begin:end], block[3, begin:end]
     returns, near = np.int32(0), np.int32(0)
     for i in range(len(range_m)):
         r = range_m[i]
