@@ -65,7 +65,7 @@ def info(
 ) -> None:
     """What a service says of itself: version, configuration, topics, process; or what a recording holds.
 
-    Exit code 1 when the service does not answer or the file cannot be read.
+    Exit code 1 when the service does not answer, or the file cannot be read or ends too early.
     """
     if service.endswith(".mcap"):
         _show_recording(Path(service), as_json)
@@ -96,6 +96,8 @@ def _show_recording(path: Path, as_json: bool) -> None:
     except RecordingError as error:
         fail(str(error))
     print(msgspec.json.encode(found).decode() if as_json else readable(found, 0))
+    if not found["complete"]:
+        fail(f"{path}: cut off before its end; above is what is there")
 
 
 def _who_answers(session: zenoh.Session, asked: str) -> str:

@@ -88,6 +88,21 @@ def test_info_of_a_recording_says_what_was_live(tmp_path: Path, speakers: Module
     assert "simulated: 2" in runner.invoke(app, ["info", str(path)]).stdout
 
 
+def test_info_of_a_recording_that_was_cut_off_says_so(tmp_path: Path, speakers: ModuleType) -> None:
+    path, cut = tmp_path / "drive.mcap", tmp_path / "cut.mcap"
+    with RecordingFile(path, {"spotter": {"version": "1"}}) as file:
+        for at_s in range(2000):
+            zones = speakers.zones(at_s)
+            file.add("jetson0/lidar/zones", type(zones), encode(zones), 10**9 * (at_s + 1), 0, at_s)
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    shown = runner.invoke(app, ["info", str(cut), "--json"])
+    assert shown.exit_code == 1
+    assert "cut off" in shown.stderr
+    found = json.loads(shown.stdout)
+    assert not found["complete"]
+    assert runner.invoke(app, ["info", str(path)]).exit_code == 0
+
+
 def test_info_of_what_is_no_recording(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     assert runner.invoke(app, ["info", str(path)]).exit_code == 2
