@@ -5,9 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.infra_lidar.config import GroundConfig
+from services.infra_lidar.calibration.plane_fit import Calibrator
+from services.infra_lidar.config import CalibrationConfig, GroundConfig
 from services.infra_lidar.segmentation.drops import DEEP_M, DEEP_SHARE, MIN_POINTS
 from services.infra_lidar.segmentation.ground import Ground
+from spotter_sim.lidar128 import scan
+from spotter_sim.street import street
 
 LEVEL = np.eye(4)
 EDGE_M = 12.0  # beside the middle; there the road ends
@@ -53,6 +56,22 @@ def test_a_slope_is_no_drop():
     points[:, 2] = -0.04 * points[:, 0]
     found, _ = _drops(points)
     assert not found.any()
+
+
+@pytest.mark.parametrize("seed", range(2000, 2008))
+def test_nobody_in_a_random_street_stands_on_a_drop(seed):
+    """Kerbs, ramps and verges; the verges of some rise or fall so far that the road's surface is left."""
+    scenario = street(seed)
+    turn, pitch_deg = scan(scenario, 0.0, 1200), np.degrees(scenario.scene.mount.pitch_rad)
+    calibration = Calibrator(CalibrationConfig(prior_pitch_deg=pitch_deg)).add(turn.xyz)
+    assert not calibration.refused
+    ground = Ground(GroundConfig())
+    levelled = ground.level_only(turn.xyz, calibration.T_level_sensor)
+    ground.remove_levelled(levelled)
+    somebody = turn.actor_id > 0
+    assert somebody.sum() > 200
+    drops = ground.find_drops(levelled)
+    assert drops[ground.cells_at(levelled.x[somebody], levelled.y[somebody])].mean() < 0.01
 
 
 def test_mirrored_returns_in_a_puddle_are_no_drop():
