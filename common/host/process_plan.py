@@ -83,23 +83,22 @@ def _with_environment(setting: str) -> str:
 def sensor_host_settings(site: Site, host: str, service: str) -> tuple[str, ...]:
     """Settings that name the hosts of the services that a service of ``host`` subscribes to.
 
-    Fusion and what shows it listen to their own vehicle. A sensor that the vehicle lacks is not expected, and looked
-    for on fusion's own host, where it never appears, so that no other vehicle's sensor takes its place.
+    Fusion and what shows it listen to their own vehicle. A sensor that vehicle and roadside lack is not expected, and
+    looked for on fusion's own host, where it never appears, so that no other vehicle's sensor takes its place.
 
     Raises:
         ConfigError: a roadside host that would have to choose between the verdicts of several vehicles.
     """
     own, roadside = site.vehicle_hosts(host), site.roadside_hosts
     if service == "fusion":
-        sensors = {name: site.host_of(name, own) or host for name in ONBOARD_SENSORS}
-        for name in set(SENSOR_TOPICS) - set(ONBOARD_SENSORS):
-            sensors[name] = site.host_of(name, (*own, *roadside)) or host
+        places = {
+            name: site.host_of(name, own if name in ONBOARD_SENSORS else (*own, *roadside)) for name in SENSOR_TOPICS
+        }
         ego = site.host_of("ego", own) or host
         expects = [f"{place}/{name}" for name in ("ego", "gate") if (place := site.host_of(name, own))]
-        missing = [name for name in ONBOARD_SENSORS if not site.host_of(name, own)]
         return (
-            *(f"sensors.{name}.host={place}" for name, place in sensors.items()),
-            *(f"sensors.{name}.expected=false" for name in missing),
+            *(f"sensors.{name}.host={place or host}" for name, place in places.items()),
+            *(f"sensors.{name}.expected=false" for name, place in places.items() if not place),
             f"ego_host={ego}",
             f"expects={json.dumps(expects)}",
             "store=fusion-memory",

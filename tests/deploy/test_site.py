@@ -131,6 +131,17 @@ def test_fusion_misses_ego_and_gate_where_the_site_has_them() -> None:
     assert load(FusionConfig, None, sensor_host_settings(Site(), "jetson0", "fusion")).expects == ()
 
 
+@pytest.mark.parametrize(("on_the_pole", "waited_for"), [("infra_lidar", True), ("dashboard", False)])
+def test_fusion_waits_for_sensors_that_the_site_has(on_the_pole: str, waited_for: bool) -> None:
+    services = {name: ServicePlace() for name in ("fusion", "lidar", "radar")}
+    pole = HostConfig(address="10.0.0.9", services={on_the_pole: ServicePlace()})
+    site = Site(hosts={"north": HostConfig(address="10.0.0.2", services=services), "pole": pole})
+    sensors = load(FusionConfig, None, (*plan_of(site, "north", None).settings["fusion"], "host=north")).sensors
+    assert (sensors.lidar.expected, sensors.radar.expected, sensors.camera.expected) == (True, True, False)
+    assert sensors.infra_lidar.expected == waited_for
+    assert sensors.infra_lidar.host == ("pole" if waited_for else "north")
+
+
 def test_the_dashboard_is_told_where_the_map_lies() -> None:
     place = MapOrigin(latitude_deg=52.5, longitude_deg=-13.25, heading_deg=0.0)
     settings = sensor_host_settings(Site(map=place), "jetson0", "dashboard")
