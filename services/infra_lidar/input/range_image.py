@@ -13,6 +13,8 @@ import numpy as np
 
 from services.infra_lidar.jit import kernel
 
+MOST_BEAMS = 128
+
 
 @dataclass(frozen=True, eq=False)
 class RangeImage:
@@ -20,9 +22,12 @@ class RangeImage:
 
     range_m: (R, W) float32, 0 = no return. intensity: (R, W) uint8. cos, sin: (R,) float32 of the heading, the angle
     about z by which the head had turned in the sensor frame. bank: (R,) uint8, bank b holds the beams b W to b W + W;
-    of W = 128, each bank has all beams, in another firing order.
+    of W = 128, each bank has all beams, in another firing order. W divides 128.
     beams: (7, B) float32, for each beam in the frame that turns with the head: its direction x, y, z, the point x, y, z
     (m) from which its range is measured, and its ring, 0 = lowest.
+
+    Raises:
+        ValueError: rows of another width.
     """
 
     range_m: np.ndarray
@@ -31,6 +36,11 @@ class RangeImage:
     sin: np.ndarray
     bank: np.ndarray
     beams: np.ndarray
+
+    def __post_init__(self) -> None:
+        width = self.range_m.shape[1]
+        if not width or MOST_BEAMS % width:
+            raise ValueError(f"range_m: rows of {width} ranges, expected a number that divides {MOST_BEAMS}")
 
     def __len__(self) -> int:
         """Number of ranges, including those without a return."""

@@ -173,3 +173,10 @@ def test_beams_that_are_lost_are_missed_in_ranges():
         if k == 59:
             assert (result.state, result.reason) == ("online", "")
     assert "beams are lost" in result.reason
+
+
+@pytest.mark.parametrize("width", [0, 48, 256])
+def test_rows_of_another_width_are_refused(width):
+    row, turn = np.zeros((2, width), np.float32), np.zeros(2, np.float32)
+    with pytest.raises(ValueError, match=f"rows of {width} ranges, expected a number that divides 128"):
+        RangeImage(row, row.astype(np.uint8), turn, turn, np.zeros(2, np.uint8), np.zeros((7, 256), np.float32))
