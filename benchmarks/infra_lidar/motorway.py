@@ -29,7 +29,7 @@ from services.infra_lidar.adaptation.site_forest import (
     site_examples,
 )
 from services.infra_lidar.calibration.plane_fit import Calibration
-from services.infra_lidar.classification.classes import CLASSES, UNKNOWN
+from services.infra_lidar.classification.classes import UNKNOWN, VEHICLES
 from services.infra_lidar.classification.classifier import Classifier
 from services.infra_lidar.classification.forest import Forest
 from services.infra_lidar.config import BackgroundConfig, CalibrationConfig, ClassifierConfig, InfraLidarConfig
@@ -40,7 +40,6 @@ FOLDER = DATA / "roadside-lidar80"
 ROADSIDE_MAST = CalibrationConfig(height_min_m=2.0, max_tilt_deg=10.0)
 ROAD_Y_M = 16.0  # half the width between the guard rails, which stand at 16.2
 SCENE_M, STANDS_M = 0.6, 0.5  # reach of a point of the empty road; what is higher than that above the road stands
-VEHICLES = [CLASSES.index(name) for name in ("car", "large_vehicle")]
 FOLDS = 3
 APART_NS = 10_000_000_000
 WHOLE = InfraLidarConfig(calibration=ROADSIDE_MAST, background=BackgroundConfig(enabled=False))

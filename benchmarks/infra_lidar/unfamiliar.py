@@ -18,9 +18,9 @@ import numpy as np
 from benchmarks.datasets.labelled_boxes import LabelledFrame, labelled_frames
 from benchmarks.infra_lidar.accuracy import DATA, MIN_POINTS, ON_A_VEHICLE
 from benchmarks.infra_lidar.foreign import distance_fields, meshes, superquadrics
-from benchmarks.infra_lidar.motorway import ROADSIDE_MAST, VEHICLES, EmptyRoad, pictures
+from benchmarks.infra_lidar.motorway import ROADSIDE_MAST, EmptyRoad, pictures
 from services.infra_lidar.calibration.plane_fit import Calibrator
-from services.infra_lidar.classification.classes import CLASSES, UNKNOWN
+from services.infra_lidar.classification.classes import CLASSES, UNKNOWN, VEHICLES
 from services.infra_lidar.classification.classifier import Classification, Classifier, without_vehicles
 from services.infra_lidar.classification.features import compute_features
 from services.infra_lidar.clustering.clustering import Clustering, ClusterPoints

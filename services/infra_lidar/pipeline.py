@@ -8,7 +8,7 @@ from common.geometry import invert
 from common.stopwatch import Stopwatch
 from services.infra_lidar.calibration.monitor import CalibrationMonitor
 from services.infra_lidar.calibration.plane_fit import Calibration
-from services.infra_lidar.classification.classes import BACKGROUND, CLASSES, UNKNOWN
+from services.infra_lidar.classification.classes import BACKGROUND, LARGE_VEHICLE, UNKNOWN
 from services.infra_lidar.classification.classifier import Classifier, without_vehicles
 from services.infra_lidar.clustering.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
@@ -21,7 +21,6 @@ from services.infra_lidar.tracking import MultiObjectTracker
 from services.infra_lidar.tracking.detections import detection_records
 
 _IDENTITY = np.eye(4)
-LARGE_VEHICLE = CLASSES.index("large_vehicle")
 PARKED_LARGE_CONFIDENCE = 0.9  # a large vehicle that stands while the background is learned is believed from here on
 
 
@@ -91,7 +90,8 @@ class InfraLidarPipeline:
         # 6. Learn the background, as long as there is none.
         if self.config.background.enabled and not segmentation.background_subtracted:
             sure = _road_users(clusters, self.scene.on_drop(*clusters.box[:, :2].T))
-            passing, parked = (_of_points(clusters, value, len(returns)) for value in (sure, _parked(clusters, sure)))
+            passing = _of_points(clusters, sure, len(returns))
+            parked = _of_points(clusters, _parked(clusters, sure), len(returns))
             learned = self.scene.learn(stamp_ns, returns, segmentation, passing, parked)
             if learned is not None:
                 self.tracker.forget(_vanished(learned, clusters))  # every other track keeps its id

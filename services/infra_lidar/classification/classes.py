@@ -9,3 +9,5 @@ LABELS: tuple[ObjectLabel, ...] = (*CLASSES, "unknown")
 BACKGROUND = CLASSES.index("background")
 UNKNOWN = LABELS.index("unknown")
 """Index of the label for an object that the classifier is not sure of: an obstacle of no known class."""
+LARGE_VEHICLE = CLASSES.index("large_vehicle")
+VEHICLES = (CLASSES.index("car"), LARGE_VEHICLE)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from services.infra_lidar.classification.classes import CLASSES, LABELS, UNKNOWN
+from services.infra_lidar.classification.classes import CLASSES, LABELS, UNKNOWN, VEHICLES
 from services.infra_lidar.classification.feature_kernels import FEATURE_NAMES
 from services.infra_lidar.classification.features import compute_features
 from services.infra_lidar.classification.forest import Forest, ModelError, load_forest
@@ -32,9 +32,6 @@ class Classification(NamedTuple):
     labels: np.ndarray  # (K,) int64, index into `LABELS`; `UNKNOWN` where no class is likely enough
     confidence: np.ndarray  # (K,) float32, probability of the likeliest class
     probabilities: np.ndarray  # (K, C) float32 over `CLASSES`
-
-
-VEHICLES = CLASSES.index("car"), CLASSES.index("large_vehicle")
 
 
 def without_vehicles(found: Classification, where: np.ndarray) -> Classification:

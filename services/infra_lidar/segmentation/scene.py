@@ -162,7 +162,7 @@ class Scene:
         levelled = self.ground.level_only(points_of(returns), calibration.T_level_sensor)
         obstacles = self.ground.remove_levelled(levelled)
         self._drops_age += 1
-        if self._drops_age >= DROPS_EVERY:
+        if self._drops_age >= DROPS_EVERY and self._complete:
             self._drops, self._drops_age = self.ground.find_drops(levelled), 0
         self._unwatched += 1
         if self._unwatched >= WATCH_EVERY or self._monitor.due(stamp_ns):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from common.geometry import pose_2d
-from services.infra_lidar.classification.classes import CLASSES
+from services.infra_lidar.classification.classes import CLASSES, VEHICLES
 from services.infra_lidar.training.clusters import LabelledClusters, collect
 from services.infra_lidar.training.varied_furniture import furniture
 from services.infra_lidar.training.varied_users import animal, person, rider
@@ -23,7 +23,6 @@ MAKERS = {"car": car, "large_vehicle": large_vehicle, "cyclist": rider, "pedestr
 _LEAVES, _CLEAR, _GLASS = (PARTS.index(name) for name in ("leaves", "clear", "glass"))
 _ANIMAL_SHARE = 0.02  # they are of no class: each is labelled by lot, which teaches the forest to be unsure
 _ANIMAL_LABELS = [CLASSES.index(name) for name in ("background", "cyclist", "pedestrian")]
-_VEHICLES = [CLASSES.index(name) for name in ("car", "large_vehicle")]
 _PARKED_SHARE = 0.35  # of the vehicles stand in a row: between their neighbours only a corner or an end is seen
 _RAYS = 2500
 
@@ -38,7 +37,7 @@ def generated_clusters(seed: int, per_class: int, min_points: int = 10, backgrou
         wanted = len(clusters) + per_class * (background if name == "background" else 1)
         while len(clusters) < wanted:
             shape, lift_m, called = _draw(rng, name, label)
-            points = look_at(rng, shape, lift_m, parked=called in _VEHICLES and rng.random() < _PARKED_SHARE)
+            points = look_at(rng, shape, lift_m, parked=called in VEHICLES and rng.random() < _PARKED_SHARE)
             if len(points) >= min_points:
                 clusters.append(points)
                 ground.append(rng.normal(0.0, 0.05))
