@@ -75,3 +75,8 @@ def test_findings_and_endings_are_read_from_the_sources(troubleshooting: ModuleT
 def test_commands_are_found_in_blocks_and_in_spans(check: ModuleType) -> None:
     text = "`spotter ls` and\n```sh\nmake demo   # starts\n\nspotter hz '*/*'\n```\n`x = 1` `spotter-NAME`"
     assert list(check.commands_of(text)) == ["make demo", "spotter hz '*/*'", "spotter ls", "spotter-NAME"]
+
+
+def test_the_page_of_sentences_is_of_these_sources(troubleshooting: ModuleType) -> None:
+    wanted = "docs/troubleshooting.md is of other sources; python docs/troubleshooting.py writes it"
+    assert troubleshooting.PAGE.read_text() == troubleshooting.page(), wanted
