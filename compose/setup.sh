@@ -3,6 +3,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 log=.setup.log
+trap 'exit 130' INT  # Ctrl-C: without this Bash goes on when the command it waits for ends well all the same
 if [ ! -w . ]; then
     printf '  setup: %s cannot be written: the environment (.venv) is made in the clone; copy it to where you may write\n' "$PWD" >&2
     exit 1

@@ -29,9 +29,9 @@ def clone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def setup(clone: Path) -> subprocess.Popen[bytes]:
+def setup(clone: Path, **variables: str) -> subprocess.Popen[bytes]:
     """The small extra ``keys`` only: what is tested is the order of the steps."""
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | variables
     command = ["make", "setup", "EXTRAS=keys"]
     return subprocess.Popen(command, cwd=clone, env=environment, start_new_session=True)
 
@@ -62,9 +62,20 @@ def test_a_setup_interrupted_at_several_moments_is_completed_by_the_next(clone: 
     assert "Perception over Zenoh" in told.stdout
 
 
+def test_ctrl_c_ends_it_also_between_two_steps(clone: Path, tmp_path: Path) -> None:
+    """Bash goes on after a SIGINT when the command that it waited for ended well: here ``touch`` does."""
+    (clone / ".venv" / ".ready").unlink()
+    touch = tmp_path / "touch"
+    touch.write_text(f"#!/bin/sh\ntrap '' INT\nkill -INT 0\nexec {shutil.which('touch')} \"$@\"\n")
+    touch.chmod(0o755)
+    assert setup(clone, PATH=f"{tmp_path}:{os.environ['PATH']}").wait(240) != 0
+    assert not (clone / ".venv" / ".ready").exists()
+    assert (clone / ".venv" / ".installing").exists()
+
+
 def test_a_uv_that_cannot_run_is_installed_again(clone: Path) -> None:
     (clone / ".venv" / "bin" / "uv").chmod(0o644)
-    (clone / ".venv" / ".ready").unlink()
+    (clone / ".venv" / ".ready").unlink(missing_ok=True)
     assert setup(clone).wait(240) == 0
 
 
