@@ -15,6 +15,7 @@ from services.infra_lidar.jit import kernel
 X, Y, COS, SIN, HALF_LENGTH, HALF_WIDTH, TOP, COLUMNS = range(8)  # of a footprint
 SMALL_LENGTH_M, SMALL_WIDTH_M, SMALL_TOP_M = 5.3, 2.2, 2.2
 LARGE_LENGTH_M, LARGE_WIDTH_M, LARGE_TOP_M = 14.0, 3.3, 4.5
+WHOLE_CAR_LENGTH_M, WHOLE_CAR_WIDTH_M, WHOLE_CAR_TOP_M = 3.3, 1.4, 1.9  # what is as large and no higher lacks nothing
 TOUCH_M = 0.35  # up to this gap fragments may meet at any angle (the corner of a vehicle)
 SMALL_GAP_M, LARGE_GAP_M = 1.2, 3.0
 SIDE_STEP_M = 0.5  # fragments across a wider gap lie in one line to within this
@@ -173,6 +174,8 @@ def _fits_one_vehicle(foot: np.ndarray, members: np.ndarray, a: int, b: int, gap
     large = LARGE_TOP_M >= top > SMALL_TOP_M
     if top > LARGE_TOP_M or gap > (LARGE_GAP_M if large else SMALL_GAP_M):
         return False
+    if large and _has_whole_car(foot, members):
+        return False
     c, s, length, width = _tightest(foot, members, a, b)
     if length > (LARGE_LENGTH_M if large else SMALL_LENGTH_M) or width > (LARGE_WIDTH_M if large else SMALL_WIDTH_M):
         return False
@@ -181,6 +184,17 @@ def _fits_one_vehicle(foot: np.ndarray, members: np.ndarray, a: int, b: int, gap
     _, _, a0, a1 = extent_along(foot[a], c, s)
     _, _, b0, b1 = extent_along(foot[b], c, s)
     return width <= max(a1 - a0, b1 - b0) + SIDE_STEP_M
+
+
+@kernel
+def _has_whole_car(foot: np.ndarray, members: np.ndarray) -> bool:
+    """Whether one of the members is a car by itself: what is higher beside it is a post or a tree."""
+    for k in members:
+        long, wide = 2.0 * foot[k, HALF_LENGTH], 2.0 * foot[k, HALF_WIDTH]
+        a_car = WHOLE_CAR_LENGTH_M <= long <= SMALL_LENGTH_M and WHOLE_CAR_WIDTH_M <= wide <= SMALL_WIDTH_M
+        if a_car and foot[k, TOP] <= WHOLE_CAR_TOP_M:
+            return True
+    return False
 
 
 @kernel
