@@ -11,6 +11,8 @@ from benchmarks.article.costly_features import NEIGHBOURS
 from services.infra_lidar.jit import kernel
 
 POINTS_A_CELL = 2.0
+LANES = 8  # points that search side by side
+KEPT = NEIGHBOURS + 1  # of the nearest: the point itself is among them
 
 
 def spacing_deviation(points: np.ndarray, offsets: np.ndarray) -> np.ndarray:
@@ -45,20 +47,22 @@ class CellGrid(NamedTuple):
 def neighbour_distances(points: np.ndarray) -> np.ndarray:
     """(n,) float32: mean distance of points (n, 3) float32 to their five nearest others, in some order; n > 5. Exact.
 
-    Points are sorted into cells. From each point cubes of cells are searched, larger and larger, until none outside can
-    hold a nearer point than the fifth found.
+    Points are sorted into cells, and ``LANES`` that follow each other search together. The box of cells around them
+    grows until nothing outside can be nearer than the fifth that each has found.
     """
     grid = sorted_into_cells(points)
-    mean_m = np.empty(len(points), np.float32)
-    widest = grid.shape.max()
-    for i in range(len(points)):
-        reach = 1
-        a, b, c, d, e = _five_nearest(grid, i, reach)
-        while e > (reach * grid.size_m) ** 2 and reach < widest:
+    mean_m, block = np.empty(len(points), np.float32), np.empty((KEPT + 3) * LANES, np.float32)
+    for first in range(0, len(points), LANES):
+        number, reach = min(LANES, len(points) - first), 1
+        _search(grid, first, reach, block)
+        while block[(KEPT - 1) * LANES :][:LANES].max() > (reach * grid.size_m) ** 2 and reach < grid.shape.max():
             reach += 1
-            a, b, c, d, e = _five_nearest(grid, i, reach)
-        total_m = np.sqrt(a) + np.sqrt(b) + np.sqrt(c) + np.sqrt(d) + np.sqrt(e)
-        mean_m[i] = total_m / np.float32(NEIGHBOURS)
+            _search(grid, first, reach, block)
+        for i in range(number):
+            total_m = np.float32(0.0)
+            for k in range(1, KEPT):  # the nearest is the point itself
+                total_m += np.sqrt(block[k * LANES + i])
+            mean_m[first + i] = total_m / np.float32(NEIGHBOURS)
     return mean_m
 
 
@@ -89,25 +93,34 @@ def sorted_into_cells(points: np.ndarray) -> CellGrid:
 
 
 @kernel
-def _five_nearest(grid: CellGrid, i: int, reach: int) -> tuple[float, float, float, float, float]:
-    """Rising squared distances of the five nearest others of point i within ``reach`` cells; infinity where none is.
+def _search(grid: CellGrid, first: int, reach: int, block: np.ndarray) -> None:
+    """Fill ``block`` for the points from ``first`` on, from all points within ``reach`` cells of any of them.
 
-    Each candidate is carried down the five by minimum and maximum: without a branch, the processor need not guess.
+    block ((KEPT + 3) LANES,) float32: the smallest squared distance of each point, the second smallest and so on, then
+    x of each, y and z. In one array, at constant places, so that the compiler can vectorise the loop over the points.
     """
-    x, y, z = grid.points[i, 0], grid.points[i, 1], grid.points[i, 2]
-    cx, cy = int((x - grid.low[0]) / grid.size_m), int((y - grid.low[1]) / grid.size_m)
-    cz = int((z - grid.low[2]) / grid.size_m)
-    first, last = max(cx - reach, 0), min(cx + reach, grid.shape[0] - 1)
-    a = b = c = d = e = np.float32(np.inf)
-    for kz in range(max(cz - reach, 0), min(cz + reach + 1, grid.shape[2])):
-        for ky in range(max(cy - reach, 0), min(cy + reach + 1, grid.shape[1])):
+    block[: KEPT * LANES] = np.inf
+    for i in range(LANES):  # the last point stands in for those that are missing
+        for axis in range(3):
+            block[(KEPT + axis) * LANES + i] = grid.points[min(first + i, len(grid.points) - 1), axis]
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    for axis in range(3):
+        along = block[(KEPT + axis) * LANES :][:LANES]
+        low[axis] = max(int((along.min() - grid.low[axis]) / grid.size_m) - reach, 0)
+        high[axis] = min(int((along.max() - grid.low[axis]) / grid.size_m) + reach, grid.shape[axis] - 1)
+    for kz in range(low[2], high[2] + 1):
+        for ky in range(low[1], high[1] + 1):
             row = (kz * grid.shape[1] + ky) * grid.shape[0]
-            for j in range(grid.start[row + first], grid.start[row + last + 1]):  # neighbours along x lie together
-                dx, dy, dz = grid.points[j, 0] - x, grid.points[j, 1] - y, grid.points[j, 2] - z
-                rest = dx * dx + dy * dy + dz * dz if j != i else np.float32(np.inf)
-                a, rest = min(a, rest), max(a, rest)
-                b, rest = min(b, rest), max(b, rest)
-                c, rest = min(c, rest), max(c, rest)
-                d, rest = min(d, rest), max(d, rest)
-                e = min(e, rest)
-    return a, b, c, d, e
+            for j in range(grid.start[row + low[0]], grid.start[row + high[0] + 1]):  # cells along x lie together
+                _compare(grid.points[j, 0], grid.points[j, 1], grid.points[j, 2], block)
+
+
+@kernel
+def _compare(x: np.float32, y: np.float32, z: np.float32, block: np.ndarray) -> None:
+    """Carry a point down the nearest of each point of the block; without branches."""
+    for i in range(LANES):
+        dx, dy, dz = block[KEPT * LANES + i] - x, block[(KEPT + 1) * LANES + i] - y, block[(KEPT + 2) * LANES + i] - z
+        rest = dx * dx + dy * dy + dz * dz
+        for k in range(KEPT):
+            kept = block[k * LANES + i]
+            block[k * LANES + i], rest = min(kept, rest), max(kept, rest)
