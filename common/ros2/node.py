@@ -10,11 +10,17 @@ import zenoh
 import zenoh.ext
 
 from common.clock import utc_ns
+from common.config import ZenohConfig
 from common.ros2.keys import GID_BYTES, Attachment, Entity, Qos, topic_key
 from common.ros2.types import to_cdr, type_hash
 
 CDR = zenoh.Encoding("application/cdr")
 NODE_ID = 0  # there is one node on each session
+
+
+def node_config(endpoints: tuple[str, ...]) -> ZenohConfig:
+    """Of a node's session: no namespace, and Zenoh's stamps, which its cache for late joiners (/tf_static) needs."""
+    return ZenohConfig(namespace="", connect=endpoints, extra={"timestamping/enabled": True})
 
 
 class Node:

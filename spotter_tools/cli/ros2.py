@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from common.bus.session import close_session, open_session
-from common.config import ConfigError, ZenohConfig
+from common.config import ConfigError
 from spotter_tools.cli.connect import DEFAULT_ENDPOINT, GIVE_UP_AFTER_S, Connect, Namespace, bus
 from spotter_tools.cli.fail import fail, needs_extra
 
@@ -32,7 +32,7 @@ def ros2(
 ) -> None:
     """Publish the bus into a ROS 2 domain (rmw_zenoh) until Ctrl-C; ROS need not be installed here."""
     try:
-        from common.ros2.node import Node
+        from common.ros2.node import Node, node_config
         from spotter_tools.ros2.bridge import Bridge
         from spotter_tools.ros2.table import AUTOWARE_ROW, ROWS, TF_ROW
     except ImportError:
@@ -47,9 +47,9 @@ def ros2(
     for signum in (signal.SIGINT, signal.SIGTERM):
         signal.signal(signum, lambda *_: stop.set())
     with bus(connect, namespace) as session:
-        there = ZenohConfig(namespace="", connect=tuple((router or connect).split(",")))
+        there = tuple((router or connect).split(","))
         try:
-            ros = open_session(there, give_up_after_s=GIVE_UP_AFTER_S)
+            ros = open_session(node_config(there), give_up_after_s=GIVE_UP_AFTER_S)
         except (ConnectionError, ConfigError) as error:
             fail(f"--ros: {error}")
         bridge = Bridge(session, Node(ros, "spotter", domain), rows, sensors=tf)

@@ -17,7 +17,7 @@ from common.bus.status import Report
 from common.clock import utc_ns
 from common.config import ServiceConfig, ZenohConfig
 from common.messages import LaserScan
-from common.ros2.node import Node
+from common.ros2.node import Node, node_config
 from common.ros2.reader import TopicReader
 from common.ros2.source import RosTopic
 from services.jetson.lidar.config import LidarConfig
@@ -33,7 +33,7 @@ SITE = "site"
 @pytest.fixture
 def bridged(router_endpoint: str) -> Iterator[Bridge]:
     ours = open_session(ZenohConfig(namespace=SITE, connect=(router_endpoint,)))
-    ros = open_session(ZenohConfig(namespace="", connect=(router_endpoint,)))
+    ros = open_session(node_config((router_endpoint,)))
     bridge, stop = Bridge(ours, Node(ros, "spotter"), ROWS, sensors=True), threading.Event()
     worker = threading.Thread(target=bridge.run, args=(stop,))
     worker.start()
