@@ -90,7 +90,7 @@ class BackgroundConfig(Section, frozen=True, kw_only=True):
     learn_s: Positive = 20.0
     min_frames: Annotated[int, Meta(ge=5)] = 100
     azimuth_cells: Annotated[int, Meta(ge=90, le=7200)] = 1800
-    min_share: Share = 0.8  # of the frames in which the same range must have come back
+    min_share: Share = 0.8  # of the frames with a return in a cell, in which it was of the same range
     tolerance_m: Positive = 0.15
     tolerance_slope: NotNegative = 0.004  # metres per metre of range
 

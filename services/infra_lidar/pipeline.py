@@ -45,9 +45,10 @@ class InfraLidarPipeline:
         self.visibility = VisibilityMonitor(config.blindness)
 
     def recalibrate(self) -> None:
-        """Forget calibration and background and begin again with the next frame."""
+        """Forget calibration, background and what the sensor usually sees; begin again with the next frame."""
         self.calibration.restart()
         self.scene.restart()
+        self.visibility = VisibilityMonitor(self.config.blindness)
 
     def process(
         self, stamp_ns: int, returns: Returns, quality: FrameQuality | None = None, received_ns: int = 0

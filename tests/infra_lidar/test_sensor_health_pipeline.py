@@ -72,6 +72,18 @@ def test_lost_sight_is_named(scene_frame, spoil, words):
     assert words in reason
 
 
+def test_what_is_usual_is_learned_anew_by_recalibrating(scene_frame):
+    frame, pipeline = scene_frame("open", 4).points, InfraLidarPipeline(UNHURRIED)
+    for k in range(GOOD_FRAMES):
+        pipeline.process(START_NS + k * 100_000_000, frame)
+    half = frame[::3]  # the window has been narrowed in the sensor, say
+    for k in range(GOOD_FRAMES, GOOD_FRAMES + BAD_FRAMES):
+        result = pipeline.process(START_NS + k * 100_000_000, half)
+    assert "returns a frame instead of" in result.tracks.reason
+    pipeline.recalibrate()
+    assert pipeline.process(START_NS + 10**10, half).tracks.reason == ""
+
+
 def test_a_beam_without_returns_in_a_range_image_is_not_counted():
     image = frames_of(7, 10, 1, columns=600)[0].image
     image.range_m[:, 0] = 0.0

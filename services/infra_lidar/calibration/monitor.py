@@ -25,6 +25,7 @@ class CalibrationMonitor:
         self._config = config
         self._calibrator: Calibrator | None = None
         self._current: Calibration | None = stored
+        self._refusal = ""  # why the latest fit is refused, while the calibration before it is still in use
         self._next_check_ns = 0
         self._moved_checks = 0
         self._lost_checks = 0
@@ -36,6 +37,7 @@ class CalibrationMonitor:
     def restart(self) -> None:
         """Forget the calibration and begin again with the next frame."""
         self._calibrator = Calibrator(self._config)
+        self._refusal = ""
         self._moved_checks = 0
         self._lost_checks = 0
         self.nudge_deg = self.nudge_m = 0.0
@@ -56,6 +58,8 @@ class CalibrationMonitor:
         """Why the calibration should not be relied on; empty when it may."""
         if self._current is not None and self._current.refused:
             return f"not calibrated: {self._current.refused}"
+        if self._refusal:
+            return f"the calibration from before is in use, a new one is refused: {self._refusal}"
         if self._moved_checks >= CHECKS_TO_BELIEVE:
             return (
                 f"the sensor has moved: {self.nudge_deg:.2f} deg and {self.nudge_m * 100:+.0f} cm "
@@ -69,6 +73,7 @@ class CalibrationMonitor:
         """The calibration for this frame; as long as it is not settled, the frame improves it."""
         if self._calibrator is not None:
             latest = self._calibrator.add(points_of(returns))
+            self._refusal = latest.refused
             if self._calibrator.complete:
                 self._calibrator = Calibrator(self._config) if latest.refused else None
             if self._current is None or not latest.refused or self._current.refused:
@@ -77,8 +82,9 @@ class CalibrationMonitor:
         return self._current
 
     def due(self, stamp_ns: int) -> bool:
-        """Whether the road is to be checked with the frame of this time."""
-        return self.settled and stamp_ns >= self._next_check_ns
+        """Whether the road is to be checked with the frame of this time; also when the clock was set back."""
+        since_ns = stamp_ns - self._next_check_ns
+        return self.settled and not -int(self._config.check_period_s * 1e9) <= since_ns < 0
 
     def monitor(self, stamp_ns: int, points: np.ndarray) -> None:
         """Check the road every ``check_period_s``, in points (N, 3+) float32, m, level frame."""

@@ -15,7 +15,7 @@ from services.infra_lidar.jit import kernel
 
 SLICES = 5
 DIRECTIONS = 8  # of the supporting lines around the hull; each is used to both sides
-MOST_POINTS = 1024  # of a cluster: more hardly change its features
+MOST_POINTS = 1024  # of a cluster, fewer are looked at: more hardly change its features
 RANKS = (0.05, 0.10, 0.25, 0.50, 0.75, 0.95)
 
 EXTENT_NAMES = (
@@ -52,8 +52,8 @@ def cluster_features(
     """Fill out (K, F) float32, columns as in ``FEATURE_NAMES``.
 
     points (M, 3) float32 grouped by offsets (K + 1,), none of the clusters empty; ground_z_m (K,) float32.
-    ``hull_fill`` is 0 without ``hull``, ``BAND_NAMES`` are without ``bands``. Of a cluster with more than
-    ``MOST_POINTS`` points every second, third ... point is looked at.
+    ``hull_fill`` is 0 without ``hull``, ``BAND_NAMES`` are without ``bands``. Of a cluster with
+    ``MOST_POINTS`` points or more every second, third ... point is looked at.
     """
     for k in range(len(offsets) - 1):
         number = offsets[k + 1] - offsets[k]

@@ -6,7 +6,7 @@ their percentiles are counted in 256 bins, exact to a 255th of the cluster's hei
 hull seen from above and the extent of every height slice instead of the 3-D hull and the neighbour search. The
 article's costly features are in ``benchmarks/article/costly_features.py``.
 
-Of a cluster with more than ``MOST_POINTS`` points a part is looked at: at most 1,024 of them, evenly chosen.
+Of a cluster with ``MOST_POINTS`` points or more a part is looked at: fewer than 1,024 of them, evenly chosen.
 
 Every feature is finite for every cluster, a single point included: what cannot be computed is 0.
 """

@@ -195,7 +195,7 @@ class RevolutionAssembler:
         image = join_rows(self._parts)
         decoder = self._decoder
         revolution = Revolution(image, self._stamp_ns, quality, self._packets, decoder.metadata, decoder.kind)
-        self._packets, self._parts, self._lost, self._covered = [], [], 0, 0
+        self._packets, self._parts, self._lost, self._covered, self._stamp_ns = [], [], 0, 0, 0
         return revolution
 
     def _decode(self, newest: int) -> None:

@@ -119,8 +119,8 @@ def build_model(
 
     A range is background if nearly all returns of the cell came from it and none from behind it: what was sometimes
     seen through, as a car at a red light, is not. Where two ranges take turns from frame to frame (an edge, leaves),
-    both are. A second interval that is left free is that of a neighbour in azimuth. The bool says that what was always
-    there was often a road user, which may have parked there.
+    both are. A cell with one range only gets that of a neighbour in azimuth as its second. The bool says that what was
+    always there was often a road user, which may have parked there.
     """
     cells, rows = grid.columns * grid.rows, grid.rows
     chosen, is_road_user = np.empty((cells, 2), np.int8), np.zeros(cells, np.bool_)

@@ -12,8 +12,8 @@ from services.infra_lidar.jit import kernel
 from services.infra_lidar.segmentation import ground_kernels as kernels
 from services.infra_lidar.segmentation.ground_kernels import CLIPPED, GroundSettings, Levelled
 
-DEEP_M = 0.5  # a return this far below the road is of lower ground; mirrored ones are single
-MIN_POINTS = 3
+DEEP_M = 0.5  # a return this far below the road is of lower ground
+MIN_POINTS = 3  # reflections are seen below the road, too, but one by one
 DEEP_SHARE = 0.25  # of the ground that is seen there
 
 

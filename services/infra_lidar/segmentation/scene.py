@@ -124,7 +124,9 @@ class Scene:
     def mark_static(
         self, segmentation: Segmentation, clusters: ClusterPoints, ground_z_m: np.ndarray, classes: np.ndarray
     ) -> None:
-        """Write background into classes (K,) int64 where clusters lie within fixed things; none do in whole frames.
+        """Write background into classes (K,) int64 where clusters lie within fixed things.
+
+        Does nothing in frames from which no background was subtracted.
 
         ground_z_m: (K,) float32 height of the local road (m), level frame.
         """

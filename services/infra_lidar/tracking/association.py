@@ -83,7 +83,7 @@ def gated_pairs(tracks: np.ndarray, detections: np.ndarray, settings: TrackingSe
 
 @kernel
 def _reach(track: TrackRecord, settings: TrackingSettings) -> float:
-    """Upper bound of the distance from the track, along x or y, of a point-like detection that passes the gate (m)."""
+    """Distance from the track, along x or y, beyond which a point-like detection is not tried (m)."""
     own = 0.5 * (track.size[0] + track.size[1]) if settings.visible else 0.0
     variance = max(track.cov[0, 0], track.cov[1, 1]) + settings.position_sigma_m * settings.position_sigma_m
     return own + 1.45 * math.sqrt(variance * settings.gate)

@@ -48,7 +48,11 @@ def judge_movement(tracks: np.ndarray, time: FrameTime, settings: TrackingSettin
 
 @kernel
 def _moves(track: TrackRecord, slot: int, steps: int, movement_m: float) -> bool:
-    """The rule above for one track over its last ``steps`` frames."""
+    """Whether the edges of the box have shifted over the last ``steps`` frames, by more than ``movement_m``, the jitter
+    of the box and three sigma, on a fairly straight way and not in one jump.
+
+    A track that moves already needs half of that shift only.
+    """
     now, then = track.trail[slot], track.trail[(slot - steps) % TRAIL]
     displacement = _edge_displacement(now, then)
     needed = max(movement_m + track.extent_jitter, 3.0 * math.sqrt(max(track.cov[0, 0], track.cov[1, 1])))
@@ -96,7 +100,8 @@ def stop_lost_tracks(tracks: np.ndarray, stamp_ns: int) -> None:
 def manage_tracks(tracks: np.ndarray, detections: np.ndarray, time: FrameTime, config: TrackingConfig) -> np.ndarray:
     """Score and confirm every track (N,), in place. Returns (N,) bool: which of them live on.
 
-    A confirmed track coasts no longer than it had been observed before.
+    With ``coast_as_known`` a confirmed track coasts no longer than it had been observed before, but at least
+    ``tentative_gap_s``.
     """
     hit = tracks["detection"] >= 0
     confidence = np.zeros(len(tracks))

@@ -95,9 +95,9 @@ class MultiObjectTracker:
     def forget(self, vanished: np.ndarray) -> None:
         """Drop standing tracks that will not be seen again, because the fixed scene has been learned.
 
-        vanished: (K,) bool, detections of the last frame that are fixed scene from now on. Standing tracks of these, or
-        without a detection, are dropped: what remains visible of them would look as if it moved. For the same reason
-        the other standing tracks begin a new trail. Tracks that are kept keep their ids.
+        vanished: (K,) bool, detections of the last frame that are fixed scene from now on. Standing tracks of these,
+        without a detection, or tentative are dropped: what remains visible of them would look as if it moved. For the
+        same reason the other standing tracks begin a new trail. Tracks that are kept keep their ids.
         """
         of_detection = np.append(vanished[self._source], True)  # the last one is for tracks without a detection
         tracks = self._tracks
@@ -111,7 +111,7 @@ class MultiObjectTracker:
             self._next_id = (stamp_ns // 1_000_000_000 % 86_400) * 10_000 + self._config.first_id
         if stamp_ns <= self._stamp_ns:
             self._tracks = self._tracks[:0]
-        dt_s = (stamp_ns - self._stamp_ns) * 1e-9
+        dt_s = max(stamp_ns - self._stamp_ns, 0) * 1e-9
         self._stamp_ns = stamp_ns
         self._frame += 1
         slot = self._frame % TRAIL

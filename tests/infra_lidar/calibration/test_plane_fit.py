@@ -122,6 +122,28 @@ def test_a_nudge_is_noticed_and_measured(plane_cloud, pitch_rad, height_m):
     assert monitor.fault == ""
 
 
+def test_a_recalibration_that_is_refused_is_not_silent(plane_cloud):
+    config = CalibrationConfig(hypotheses=300, max_tilt_deg=15.0)
+    monitor = CalibrationMonitor(config)
+    for k in range(6):
+        _watch(monitor, plane_cloud(seed=k, points=8000), 1.0 + 2.5 * k)
+    before = monitor.settled_calibration
+    monitor.restart()
+    knocked = plane_cloud(5.0, 0.0, 0.2 + np.radians(10.0), points=8000)
+    assert monitor.update(knocked) is before  # better than none, as long as it is said
+    assert "a new one is refused: the road was expected within 15 deg" in monitor.fault
+    monitor.update(plane_cloud(points=8000))
+    assert monitor.fault == ""
+
+
+def test_a_clock_that_is_set_back_does_not_end_the_watch(plane_cloud):
+    monitor = CalibrationMonitor(CONFIG)
+    for k in range(6):
+        _watch(monitor, plane_cloud(seed=k, points=8000), 10_000.0 + 2.5 * k)
+    assert not monitor.due(int(10_013.0 * 1e9))
+    assert monitor.due(int(9_000.0 * 1e9))
+
+
 def test_the_standing_recording_is_not_called_moved(recording):
     monitor = CalibrationMonitor(CONFIG)
     for k in range(12):

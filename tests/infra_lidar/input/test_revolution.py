@@ -37,6 +37,14 @@ def test_a_revolution_of_any_number_of_packets_is_decoded():
         assert len(image) == image.returns == packets * 384
 
 
+def test_stamps_follow_a_clock_that_is_set_back():
+    parser, packets = Vls128Parser(), _packets(4)
+    stamps_ns = [k * 166_000 + (10**12 if k < 1200 else 0) for k in range(len(packets))]
+    found = [parser.feed(packet, stamp_ns) for packet, stamp_ns in zip(packets, stamps_ns, strict=True)]
+    turns_ns = [revolution.stamp_ns for revolution in found if revolution]
+    assert turns_ns[1] > 10**12 > turns_ns[2]
+
+
 def test_a_head_that_is_stuck_fills_no_memory():
     revolutions = _feed(Vls128Parser(), [vls_packet(90.0, time_us=166 * k) for k in range(2 * MAX_PACKETS + 10)])
     assert [len(revolution.packets) for revolution in revolutions] == [MAX_PACKETS] * 2

@@ -195,6 +195,15 @@ def test_a_car_seen_from_behind_turns_its_box_to_its_direction_of_travel() -> No
     assert last.size_m[1] == pytest.approx(1.8, abs=0.1)
 
 
+@pytest.mark.parametrize("back_s", [0.0, 1.0, 400.0, 1e9])
+def test_a_step_back_of_any_size_drops_the_tracks_only(back_s: float) -> None:
+    tracker = MultiObjectTracker(TrackingConfig())
+    for k in range(5):
+        tracker.update(T0_NS + k * 100_000_000, detections((10.0, 0.0)))
+    (track,) = tracker.update(T0_NS + 400_000_000 - int(back_s * 1e9), detections((10.0, 0.0)))
+    assert (track.state, track.age_s) == ("tentative", 0.0)
+
+
 def test_a_step_back_in_time_begins_anew() -> None:
     tracker = MultiObjectTracker(TrackingConfig())
     for i in range(5):
