@@ -60,7 +60,7 @@ def demo(
     overrides: Annotated[list[str] | None, typer.Option("--set", help="SERVICE.section.key=value.")] = None,
     namespace: Namespace = DEMO,
 ) -> None:
-    """Router, six services and dashboard on this machine; no hardware needed. Ctrl-C stops all of it."""
+    """Router, services and dashboard on this machine; no hardware needed. Ctrl-C stops all of it."""
     setup_logging("demo")
     init_zenoh_log(None)
     with tempfile.TemporaryDirectory(prefix="spotter-demo-") as incidents:

@@ -16,7 +16,7 @@ from common.host.supervisor import Child
 from common.source_url import source_kind
 from spotter_tools.doctor.devices import check_device, check_model, check_tools
 from spotter_tools.doctor.findings import Finding, broken, ok, warning
-from spotter_tools.sources import EXAMPLES, MEASURES
+from spotter_tools.sources import EXAMPLES, MEASURES, UNKNOWN
 
 SHOW_CONFIG_BUDGET_S = 30.0
 LOOK_BUDGET_S = 60.0
@@ -84,7 +84,7 @@ def check_source(service: str, source: str, site: Site) -> Finding:
     """There is one, and it is live where the site is."""
     check, kind = f"{service} source", source_kind(source)
     if not source:
-        do = f'source = "{EXAMPLES[service]}" in site.toml, or spotter setup'
+        do = f'source = "{EXAMPLES.get(service, UNKNOWN)}" in site.toml, or spotter setup'
         return broken(check, "none: nothing would be measured", do)
     if kind == "live":
         return ok(check, source)

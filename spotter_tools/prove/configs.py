@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from common.path import PathConfig
 from services.jetson.camera.config import CameraConfig
 from services.jetson.camera.config import MountConfig as CameraMount
-from services.jetson.fusion.config import FusionConfig
+from services.jetson.fusion.config import FusionConfig, SensorsConfig
 from services.jetson.gate.config import GateConfig, SpeedConfig
 from services.jetson.lidar.config import LidarConfig, MountingSection, ZonesSection
 from services.radar_pi.config import (
@@ -19,6 +19,8 @@ from services.radar_pi.config import (
     WaveformConfig,
 )
 from spotter_tools.prove.case import PRESETS, Preset
+
+SENSORS = ("lidar", "radar", "camera")  # that take part
 
 
 @dataclass(frozen=True)
@@ -37,11 +39,12 @@ def configs_of(name: str) -> Configs:
     preset = PRESETS[name]
     gate = GateConfig(accept=("simulated",), speed=SpeedConfig(slow_mps=preset.slow_mps, go_mps=preset.go_mps))
     path = path_of(preset)
+    fusion = FusionConfig(path=path, sensors=SensorsConfig().only(SENSORS))
     camera = CameraConfig(mount=CameraMount(height_m=float(preset.chassis.T_vehicle_camera[2, 3])), path=path)
     if name == "model":
         lidar = LidarConfig(mounting=MountingSection(front_m=_before_lidar_m(preset)), path=path)
-        return Configs(lidar, RadarConfig(path=path), camera, FusionConfig(path=path), gate)
-    return Configs(_wide_lidar(preset, path), _far_radar(preset, path), camera, FusionConfig(path=path), gate)
+        return Configs(lidar, RadarConfig(path=path), camera, fusion, gate)
+    return Configs(_wide_lidar(preset, path), _far_radar(preset, path), camera, fusion, gate)
 
 
 def path_of(preset: Preset) -> PathConfig:

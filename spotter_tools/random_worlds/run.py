@@ -31,7 +31,8 @@ class World:
 
     def __init__(self, seed: int, seconds: float, config: FusionConfig) -> None:
         self.dice = random.Random(seed)
-        self.config, self.pipeline = config, FusionPipeline(config)
+        self.config = msgspec.structs.replace(config, sensors=config.sensors.only(SENSORS))
+        self.pipeline = FusionPipeline(self.config)
         self.bodies, self.vehicle = scatter(self.dice, seconds), Vehicle()
         self.faults = Faults(self.dice)
         self.fault_every_s = self.dice.choice(FAULT_EVERY_S)

@@ -135,6 +135,10 @@ def test_a_source_has_to_be_there_and_live_in_a_live_site(source: str, live: str
     assert [check_source("lidar", source, site).grade for site in (LIVE, TRIALS)] == [live, trials]
 
 
+def test_a_sensor_without_an_example_of_its_source() -> None:
+    assert 'source = "SCHEME:DEVICE"' in check_source("sonar", "", LIVE).do
+
+
 def test_a_lidar_that_turns_is_seen(plug: Plug, turning: Turning) -> None:
     found = check_look(lidar(plug(turning).path))
     assert found.grade == "ok", found

@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from common.config import Section, ServiceConfig
 from common.path import PathConfig
-from common.topics import CAMERA_CONFIRM_AGE_S
+from common.topics import CAMERA_CONFIRM_AGE_S, ONBOARD_SENSORS
 
 HostName = Annotated[str, Meta(pattern=r"^[a-z0-9_]+$")]
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
@@ -33,6 +33,13 @@ class SensorsConfig(Section, frozen=True, kw_only=True):
     radar: SensorConfig = SensorConfig(host="pi0", budget_ms=250.0)
     camera: SensorConfig = SensorConfig(host="jetson0", budget_ms=500.0)
     infra_lidar: SensorConfig = SensorConfig(host="infra0", budget_ms=500.0)
+
+    def only(self, names: tuple[str, ...]) -> SensorsConfig:
+        """The same for a vehicle on which no other sensor than these is fitted."""
+        others = set(ONBOARD_SENSORS) - set(names)
+        return msgspec.structs.replace(
+            self, **{name: msgspec.structs.replace(getattr(self, name), expected=False) for name in others}
+        )
 
 
 class VehicleConfig(Section, frozen=True, kw_only=True):

@@ -59,3 +59,11 @@ def test_naming_a_sensor_s_host_keeps_its_other_settings(tmp_path: Path) -> None
     by_file = load(FusionConfig, file).sensors
     assert by_file.infra_lidar == own.infra_lidar
     assert (by_file.radar.host, by_file.radar.budget_ms) == (own.radar.host, 90.0)
+
+
+def test_a_vehicle_with_some_of_the_sensors() -> None:
+    own = FusionConfig().sensors
+    some = own.only(("lidar", "radar"))
+    assert (some.lidar, some.radar, some.infra_lidar) == (own.lidar, own.radar, own.infra_lidar)
+    assert (some.camera.expected, some.camera.host) == (False, own.camera.host)
+    assert own.only(("lidar", "radar", "camera")) == own
