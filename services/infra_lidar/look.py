@@ -33,14 +33,15 @@ def looks(config: InfraLidarConfig, seconds: float) -> Iterator[Look]:
 
 
 def describe(seen: Seen[tuple[int, Frame]], sensor: str) -> Look:
-    """The figures of one period, with the returns of the newest turn."""
+    """The figures of one period, with the returns of the newest turn. A range without a return is none."""
     points, packets = seen.items[-1][1].points, len(seen.items[-1][1].packets)
     which = f"{sensor}, {packets} packets a turn, " if sensor else ""
-    reach_m = np.linalg.norm(points[:, :3], axis=1) if len(points) else np.zeros(0)
+    reach_m = np.linalg.norm(points[:, :3], axis=1)
+    reach_m = reach_m[np.isfinite(reach_m) & (reach_m > 0.0)]  # a cell of an image, or of a driver's cloud, is empty
     where = f", from {reach_m.min():.1f} to {reach_m.max():.1f} m" if len(reach_m) else ""
     bad = ", ".join(f"{name}: {count}" for name, count in sorted(seen.status.counters.items()))
-    turns = f"{which}{seen.rate_hz:.1f} turns a second, {len(points)} returns{where}{'; ' + bad if bad else ''}"
-    if len(points):
+    turns = f"{which}{seen.rate_hz:.1f} turns a second, {len(reach_m)} returns{where}{'; ' + bad if bad else ''}"
+    if len(reach_m):
         return Look(sees=True, what=turns)
     return Look(sees=False, what=turns, do="turns without a return: is the window covered, the laser on?")
 
