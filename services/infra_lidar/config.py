@@ -101,7 +101,7 @@ class BlindnessConfig(Section, frozen=True, kw_only=True):
     min_points: Annotated[int, Meta(ge=0)] = 1000
     min_points_share: Share = 0.5  # of what this sensor usually returns
     max_lost_beams_share: Share = 0.2
-    min_sectors_share: Share = 0.7  # of the 5 degree sectors that usually have returns
+    min_sectors_share: Share = 0.7  # of the sectors of ground.sector_deg that usually have returns
     max_near_share: Share = 0.25  # returns closer than near_m: rain, fog, dirt on the window
     near_m: Positive = 2.5
     max_packet_loss_share: Share = 0.02

@@ -32,7 +32,7 @@ class FrameStatistics:
     """What one frame shows of the sensor's sight.
 
     returns: usable ones. near: those within ``near_m``. beams: with a return, 0 = the cloud has no ring column.
-    sectors: of 5 degrees, with a return.
+    sectors: of ``ground.sector_deg``, with a return.
     """
 
     returns: int
