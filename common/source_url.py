@@ -5,6 +5,7 @@ Live and recorded data come through the same door; each service's ``source.py`` 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from urllib.parse import parse_qsl
 
@@ -17,6 +18,7 @@ _KIND_OF_SCHEME: dict[str, SourceKind] = {
     **dict.fromkeys(("file", "mcap"), "recorded"),
     "sim": "simulated",
 }
+HIGHEST_PORT = 65535
 _EMULATOR = "emulator"  # `spi:emulator`: the device's own wire protocol, without the device
 
 
@@ -29,14 +31,22 @@ class SourceUrl:
     params: dict[str, str] = field(default_factory=dict)
 
     def number(self, name: str, default: float) -> float:
-        """A numeric parameter; raises ``ConfigError`` when it is not a number."""
+        """A numeric parameter; raises ``ConfigError`` when it is not a number, or not a finite one."""
         text = self.params.get(name)
         if text is None:
             return default
         try:
-            return float(text)
+            value = float(text)
         except ValueError:
             raise ConfigError(f"source {self}: {name}={text!r} is not a number") from None
+        if not math.isfinite(value):
+            raise ConfigError(f"source {self}: {name}={text!r} is not a finite number")
+        return value
+
+    def port(self, name: str, default: int) -> int:
+        """A UDP or TCP port among the parameters; raises ``ConfigError`` when it is not one."""
+        text = self.params.get(name)
+        return default if text is None else port_in(text, f"source {self}: {name}")
 
     def flag(self, name: str) -> bool:
         """A yes/no parameter: 1, true or yes."""
@@ -45,6 +55,17 @@ class SourceUrl:
     def __str__(self) -> str:
         query = "&".join(f"{key}={value}" for key, value in self.params.items())
         return f"{self.scheme}:{self.target}" + (f"?{query}" if query else "")
+
+
+def port_in(text: str, where: str) -> int:
+    """The UDP or TCP port that a text names. where: of the text, for the error.
+
+    Raises:
+        ConfigError: not a whole number from 1 to 65535.
+    """
+    if not text.isdecimal() or len(text) > 5 or not 1 <= int(text) <= HIGHEST_PORT:
+        raise ConfigError(f"{where}: expected a port from 1 to {HIGHEST_PORT}, found {text!r}")
+    return int(text)
 
 
 def source_kind(source: str) -> SourceKind:

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from common.config import ConfigError, Section, ServiceConfig, config_hash, load
-from common.source_url import parse_source
+from common.source_url import SourceUrl, parse_source
 
 
 class Cfar(Section, frozen=True, kw_only=True):
@@ -137,3 +137,17 @@ def test_source_refusals(text: str, expected: str) -> None:
 def test_source_number_must_be_one() -> None:
     with pytest.raises(ConfigError, match="rate='fast' is not a number"):
         parse_source("file:a?rate=fast", SCHEMES).number("rate", 1.0)
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "1e999"])
+def test_source_number_must_be_finite(text: str) -> None:
+    with pytest.raises(ConfigError, match=f"rate='{text}' is not a finite number"):
+        parse_source(f"file:a?rate={text}", SCHEMES).number("rate", 1.0)
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1", "65536", "70000", "2368.0", "x", "²", "9" * 5000])
+def test_source_port_must_be_one(text: str) -> None:
+    source = SourceUrl("velodyne", "", {"port": text, "highest": "65535"})
+    with pytest.raises(ConfigError, match="port: expected a port from 1 to 65535, found '"):
+        source.port("port", 2368)
+    assert (source.port("other", 2368), source.port("highest", 2368)) == (2368, 65535)

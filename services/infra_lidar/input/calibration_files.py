@@ -133,7 +133,7 @@ def _captured_angles(sender: Sender, path: Path, url: SourceUrl) -> str:
 
 def _heard_angles(url: SourceUrl) -> str:
     """Metadata of the first DIFOP packet that comes, of the host that the source names if it names one."""
-    port, host = int(url.number("difop", DIFOP_PORT)), url.target
+    port, host = url.port("difop", DIFOP_PORT), url.target
     until_s = monotonic_s() + DIFOP_WAIT_S
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:

@@ -15,7 +15,7 @@ from ipaddress import ip_address
 from common.bus.status import Report
 from common.clock import utc_ns
 from common.config import ConfigError
-from common.source_url import SourceUrl
+from common.source_url import SourceUrl, port_in
 from services.infra_lidar.input.calibration_files import live_metadata
 from services.infra_lidar.input.models import KINDS
 from services.infra_lidar.input.packets import Frame, count_losses, frame_of
@@ -41,9 +41,9 @@ def live_packets(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
     kind = KINDS[url.scheme]
     if url.scheme == "velodyne":
         host, _, port_text = url.target.rpartition(":")
-        port = _port(port_text, url)
+        port = port_in(port_text, f"source {url}: PORT of velodyne://[ADDRESS]:PORT")
     else:
-        host, port = "", int(url.number("port", kind.port))
+        host, port = "", url.port("port", kind.port)
         sender = sender or _address_of(url.target)
     parser = kind.parser(live_metadata(url), url.number("cut", 0.0))
     receiver = Receiver(host, port, parser, report, sender)
@@ -57,12 +57,6 @@ def live_packets(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
             yield revolution.stamp_ns, frame_of(revolution)
     finally:
         receiver.close()
-
-
-def _port(text: str, url: SourceUrl) -> int:
-    if not text.isdigit() or not 0 <= int(text) < 65536:
-        raise ConfigError(f"source {url}: expected velodyne://[ADDRESS]:PORT")
-    return int(text)
 
 
 def _address_of(host: str) -> str:
@@ -80,7 +74,7 @@ class Receiver:
     listened to; empty = the first one whose packets are of the parser's kind.
 
     Raises:
-        ConfigError: the port is taken, or the address is not one of this machine.
+        ConfigError: the port is taken or out of range, or the address is not one of this machine.
     """
 
     def __init__(self, host: str, port: int, parser: PacketParser, report: Report, sender: str = "") -> None:
@@ -99,7 +93,7 @@ class Receiver:
             self._socket.bind(("" if group else host, port))
             if group:
                 self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(host) + bytes(4))
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, OverflowError) as error:
             self._socket.close()
             raise ConfigError(f"cannot listen on UDP port {port}: {error}") from None
         self.port: int = self._socket.getsockname()[1]

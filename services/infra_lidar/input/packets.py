@@ -76,7 +76,7 @@ def choose_sender(path: Path, url: SourceUrl) -> Sender:
     with path.open("rb") as stream:
         found = list(survey(islice(read_capture(stream), SURVEY_PACKETS)))
     asked = [s for s in found if url.params.get("from", s.address) == s.address]
-    asked = [s for s in asked if int(url.number("port", s.port)) == s.port]
+    asked = [s for s in asked if url.port("port", s.port) == s.port]
     supported = [sender for sender in asked if sender.supported]
     if len(supported) == 1:
         return supported[0]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from common.clock import monotonic_s, utc_ns
 from common.config import ConfigError
-from common.source_url import SourceUrl
+from common.source_url import SourceUrl, port_in
 from services.infra_lidar.input.calibration_files import beside, captured_metadata
 from services.infra_lidar.input.captures import CaptureError, Datagram, read_capture
 from services.infra_lidar.input.look_recordings import describe_recording, is_recording
@@ -30,14 +30,19 @@ MAX_KEPT = 20_000  # packets of each sensor that are looked at: some seconds
 
 
 def print_senders(where: str, seconds: float) -> bool:
-    """Write which lidars send in a capture or to a UDP port, or what a bag or files hold. False: nothing readable."""
-    port = where.lstrip(":")
-    if not port.isdigit() and is_recording(Path(where)):
+    """Write which lidars send in a capture or to a UDP port, or what a bag or files hold. False: nothing readable.
+
+    Raises:
+        ConfigError: a file that cannot be read, or a port that is taken or out of range.
+    """
+    text = where.lstrip(":")
+    port = port_in(text, "UDP port") if text.isdecimal() else None
+    if port is None and is_recording(Path(where)):
         lines = list(describe_recording(Path(where)))
         sys.stdout.writelines(f"{line}\n" for line, _ in lines)
         return any(readable for _, readable in lines)
-    datagrams = list(listen(int(port), seconds)) if port.isdigit() else list(_kept(Path(where)))
-    for line in describe(datagrams, None if port.isdigit() else Path(where)):
+    datagrams = list(_kept(Path(where)) if port is None else listen(port, seconds))
+    for line in describe(datagrams, Path(where) if port is None else None):
         sys.stdout.write(line + "\n")
     return any(model_of(datagram.payload) for datagram in datagrams)
 

@@ -103,9 +103,12 @@ def _simulated(url: SourceUrl) -> Iterator[tuple[int, Frame]]:
     """The pole's sensor in a scenario, computed as fast as this machine can, at most at the nominal rate."""
     from spotter_sim.scenario_clock import ScenarioClock  # the world is built only where it is needed
 
-    return _revolutions(
-        ScenarioClock(url, "crossing"), int(url.number("columns", 1800)), 1.0 / url.number("rate_hz", 10.0)
-    )
+    columns, rate_hz = url.number("columns", 1800), url.number("rate_hz", 10.0)
+    if columns < 1.0:
+        raise ConfigError(f"source {url}: columns={columns:g}: expected 1 or more")
+    if rate_hz <= 0.0:
+        raise ConfigError(f"source {url}: rate_hz={rate_hz:g}: expected more than 0")
+    return _revolutions(ScenarioClock(url, "crossing"), int(columns), 1.0 / rate_hz)
 
 
 def _revolutions(clock: ScenarioClock, columns: int, period_s: float) -> Iterator[tuple[int, Frame]]:

@@ -14,7 +14,7 @@ from common.config import ConfigError
 from services.infra_lidar.input.captures import Datagram
 from services.infra_lidar.input.live_packets import Receiver
 from services.infra_lidar.input.ouster import OusterFormat
-from services.infra_lidar.input.senders import describe, listen
+from services.infra_lidar.input.senders import describe, listen, print_senders
 from services.infra_lidar.input.sensors import returns_of
 from services.infra_lidar.input.velodyne import Vls128Parser
 from tests.infra_lidar.hesai_packets import Packet as HesaiPacket
@@ -105,6 +105,12 @@ def test_a_port_is_listened_to(free_ports: Callable[[], int]) -> None:
         taken.bind(("", free_port))
         with pytest.raises(ConfigError, match="cannot listen on UDP port"):
             next(listen(free_port, 0.2))
+
+
+@pytest.mark.parametrize("where", ["0", ":65536", "99999", "99999999999"])
+def test_a_port_out_of_range_is_refused_in_a_sentence(where: str) -> None:
+    with pytest.raises(ConfigError, match="UDP port: expected a port from 1 to 65535, found '"):
+        print_senders(where, 0.1)
 
 
 def test_a_foreign_sensor_on_the_port_is_named(until) -> None:  # type: ignore[no-untyped-def]

@@ -15,6 +15,7 @@ from services.infra_lidar.input.live_packets import Receiver
 from services.infra_lidar.input.range_image import count_of
 from services.infra_lidar.input.source import open_source, surveyed_pose
 from services.infra_lidar.input.velodyne import Vls128Parser
+from tests.infra_lidar.made_packets import metadata
 
 CLOUD = np.arange(15, dtype=np.float32).reshape(3, 5)
 
@@ -89,6 +90,31 @@ def test_what_cannot_be_opened_is_refused_with_a_reason(tmp_path, report, url):
     )
     with pytest.raises(ConfigError):
         list(_open(url, report))
+
+
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("sim:crossing?rate_hz=0", "rate_hz=0: expected more than 0"),
+        ("sim:crossing?rate_hz=-2", "rate_hz=-2: expected more than 0"),
+        ("sim:crossing?rate_hz=inf", "rate_hz='inf' is not a finite number"),
+        ("sim:crossing?columns=0", "columns=0: expected 1 or more"),
+        ("sim:crossing?columns=-5", "columns=-5: expected 1 or more"),
+        ("velodyne://:70000", r"PORT of velodyne://\[ADDRESS\]:PORT: expected a port from 1 to 65535, found '70000'"),
+        ("ouster://127.0.0.1?metadata={metadata}&port=70000", "port: expected a port from 1 to 65535, found '70000'"),
+        ("robosense://127.0.0.1?difop=70000", "difop: expected a port from 1 to 65535, found '70000'"),
+    ],
+)
+def test_a_number_out_of_range_is_refused_in_a_sentence(tmp_path, report, url, words):
+    path = tmp_path / "metadata.json"
+    path.write_text(metadata())
+    with pytest.raises(ConfigError, match=words):
+        next(iter(_open(url.format(metadata=path), report)))
+
+
+def test_a_receiver_refuses_a_port_out_of_range(report):
+    with pytest.raises(ConfigError, match="cannot listen on UDP port 70000"):
+        Receiver("", 70000, Vls128Parser(), report)
 
 
 def _packet(azimuth_deg, time_us):
