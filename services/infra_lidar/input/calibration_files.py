@@ -41,21 +41,29 @@ def captured_metadata(sender: Sender, path: Path, url: SourceUrl) -> str:
     return ""
 
 
-def live_metadata(url: SourceUrl) -> str:
-    """The metadata that a live source needs: from the files that it names, or asked of the sensor.
+def named_metadata(url: SourceUrl) -> str | None:
+    """The metadata that a live source needs, from the files that it names; None = the sensor has to be asked.
 
     Raises:
-        ConfigError: there is no such file, or the sensor does not answer.
+        ConfigError: there is no such file, it is not of such a sensor, or the port to ask at is none.
     """
     if url.scheme == "ouster":
-        return read_ouster(Path(url.params["metadata"]), url) if "metadata" in url.params else _ask_ouster(url)
+        return read_ouster(Path(url.params["metadata"]), url) if "metadata" in url.params else None
     if url.scheme == "hesai":
-        return read_hesai(url, None) if "calibration" in url.params else _ask_hesai(url)
+        return read_hesai(url, None) if "calibration" in url.params else None
     if url.scheme == "robosense":
-        if "calibration" in url.params:
-            return read_robosense(url, Path(url.params["calibration"]))
-        return _heard_angles(url)
+        _difop_port(url)
+        return read_robosense(url, Path(url.params["calibration"])) if "calibration" in url.params else None
     return ""
+
+
+def asked_metadata(url: SourceUrl) -> str:
+    """The metadata that a live source needs, asked of the sensor that it names.
+
+    Raises:
+        ConfigError: the sensor does not answer, or not with its metadata.
+    """
+    return {"ouster": _ask_ouster, "hesai": _ask_hesai, "robosense": _heard_angles}[url.scheme](url)
 
 
 def beside(path: Path, suffix: str) -> Path:
@@ -73,7 +81,7 @@ def read_ouster(path: Path, url: SourceUrl) -> str:
         return OusterFormat(path.read_text(encoding="utf-8")).metadata
     except OSError as error:
         raise ConfigError(f"source {url}: no Ouster metadata: {error}; give it with ?metadata=FILE") from None
-    except MetadataError as error:
+    except (UnicodeError, MetadataError) as error:
         raise ConfigError(f"source {url}: {path}: {error}") from None
 
 
@@ -133,7 +141,7 @@ def _captured_angles(sender: Sender, path: Path, url: SourceUrl) -> str:
 
 def _heard_angles(url: SourceUrl) -> str:
     """Metadata of the first DIFOP packet that comes, of the host that the source names if it names one."""
-    port, host = url.port("difop", DIFOP_PORT), url.target
+    port, host = _difop_port(url), url.target
     until_s = monotonic_s() + DIFOP_WAIT_S
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
@@ -151,6 +159,10 @@ def _heard_angles(url: SourceUrl) -> str:
         f"source {url}: no DIFOP packet, which holds the beam angles, on UDP port {port} within {DIFOP_WAIT_S:.0f} s; "
         f"the sensor's own port is ?difop=PORT, or give its angles with ?calibration=FILE"
     )
+
+
+def _difop_port(url: SourceUrl) -> int:
+    return url.port("difop", DIFOP_PORT)
 
 
 def _ask_ouster(url: SourceUrl) -> str:

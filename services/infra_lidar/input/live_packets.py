@@ -8,7 +8,7 @@ import socket
 import struct
 import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from ipaddress import ip_address
 
@@ -16,7 +16,7 @@ from common.bus.status import Report
 from common.clock import utc_ns
 from common.config import ConfigError
 from common.source_url import SourceUrl, port_in
-from services.infra_lidar.input.calibration_files import live_metadata
+from services.infra_lidar.input.calibration_files import asked_metadata, named_metadata
 from services.infra_lidar.input.models import KINDS
 from services.infra_lidar.input.packets import Frame, count_losses, frame_of
 from services.infra_lidar.input.revolution import Revolution
@@ -34,19 +34,29 @@ WAITING_FRAMES = 2  # older ones are dropped: a late frame is worth less than th
 def live_packets(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
     """``velodyne://:2368`` listens there; ``KIND://HOST`` first asks that sensor for what its packets do not say.
 
+    What the source says is checked here. The network is needed only when the first frame is asked for.
+
     Raises:
-        ConfigError: an address that cannot be listened at, or metadata that cannot be read.
+        ConfigError: no port, not a number, or a file that cannot be read. Asking for a frame: an address that cannot be
+            listened at, or a sensor that does not tell its metadata.
     """
-    sender = url.params.get("from", "")
-    kind = KINDS[url.scheme]
+    kind, cut_deg = KINDS[url.scheme], url.number("cut", 0.0)
     if url.scheme == "velodyne":
         host, _, port_text = url.target.rpartition(":")
-        port = port_in(port_text, f"source {url}: PORT of velodyne://[ADDRESS]:PORT")
+        port, sensor = port_in(port_text, f"source {url}: PORT of velodyne://[ADDRESS]:PORT"), ""
     else:
-        host, port = "", url.port("port", kind.port)
-        sender = sender or _address_of(url.target)
-    parser = kind.parser(live_metadata(url), url.number("cut", 0.0))
-    receiver = Receiver(host, port, parser, report, sender)
+        host, port, sensor = "", url.port("port", kind.port), url.target
+    named = named_metadata(url)
+
+    def listen() -> Receiver:
+        parser = kind.parser(asked_metadata(url) if named is None else named, cut_deg)
+        return Receiver(host, port, parser, report, url.params.get("from", "") or _address_of(sensor))
+
+    return _revolutions(listen, report)
+
+
+def _revolutions(listen: Callable[[], Receiver], report: Report) -> Iterator[tuple[int, Frame]]:
+    receiver = listen()
     try:
         while True:
             revolution = receiver.next(SILENCE_S)

@@ -16,7 +16,7 @@ from common.config import ConfigError
 from common.source_url import parse_source
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.input import calibration_files
-from services.infra_lidar.input.calibration_files import live_metadata
+from services.infra_lidar.input.calibration_files import asked_metadata
 from services.infra_lidar.input.captures import Datagram
 from services.infra_lidar.input.hesai_calibration import as_metadata
 from services.infra_lidar.input.hesai_commands import ask_calibration
@@ -157,7 +157,7 @@ def test_the_angles_are_heard_on_the_difop_port(free_ports: Callable[[], int]) -
     thread = threading.Thread(target=speak, daemon=True)
     thread.start()
     url = parse_source(f"robosense://127.0.0.1?difop={port}", SCHEMES)
-    assert live_metadata(url) == as_angles(read_difop(difop()))
+    assert asked_metadata(url) == as_angles(read_difop(difop()))
     ended.set()
     thread.join()
 
@@ -165,7 +165,36 @@ def test_the_angles_are_heard_on_the_difop_port(free_ports: Callable[[], int]) -
 def test_a_port_without_difop_packets_is_said(free_ports: Callable[[], int], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calibration_files, "DIFOP_WAIT_S", 0.05)
     with pytest.raises(ConfigError, match=NO_DIFOP):
-        live_metadata(parse_source(f"robosense://127.0.0.1?difop={free_ports()}", SCHEMES))
+        asked_metadata(parse_source(f"robosense://127.0.0.1?difop={free_ports()}", SCHEMES))
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("velodyne://:notaport", "expected a port from 1 to 65535, found 'notaport'"),
+        ("velodyne://:2368?cut=north", "cut='north' is not a number"),
+        ("hesai://h?calibration=/nope.csv", "/nope.csv: "),
+        ("hesai://h?port=0", "port: expected a port from 1 to 65535, found '0'"),
+        ("ouster://h?metadata=/nope", "no Ouster metadata: .*/nope"),
+        ("ouster://h?metadata={binary}", "binary: .*can't decode"),
+        ("robosense://h?calibration=/nope.csv", "/nope.csv: "),
+        ("robosense://h?difop=70000", "difop: expected a port from 1 to 65535, found '70000'"),
+    ],
+)
+def test_a_wrong_live_source_stops_before_a_frame_is_asked_for(tmp_path: Path, source: str, words: str) -> None:
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match=words):
+        open_source(InfraLidarConfig(source=source.format(binary=tmp_path / "binary")), Report("test"))
+
+
+@pytest.mark.parametrize("source", ["velodyne://:2368", "ouster://no.such", "hesai://no.such", "robosense://no.such"])
+def test_the_network_is_not_needed_before_a_frame_is_asked_for(source: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_network(*_: object) -> None:
+        raise AssertionError("the network was used")
+
+    monkeypatch.setattr(socket, "socket", no_network)
+    monkeypatch.setattr(socket, "gethostbyname", no_network)
+    open_source(InfraLidarConfig(source=source), Report("test"))
 
 
 @pytest.fixture
