@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from services.infra_lidar.input.ouster_profiles import PACKET_TYPES, PROFILES, frame_id_at
-from services.infra_lidar.input.range_image import RangeImage, RangeImageArrays
+from services.infra_lidar.input.range_image import MOST_BEAMS, RangeImage, RangeImageArrays
 from services.infra_lidar.input.revolution import PacketDecoder, PacketOrder, Revolution, RevolutionAssembler
 from services.infra_lidar.jit import kernel
 
@@ -30,7 +30,8 @@ class OusterFormat:
     """Packet layout and beam geometry of one sensor.
 
     Raises:
-        MetadataError: the text is no metadata of a lidar, or of a packet format that is not supported.
+        MetadataError: the text is no metadata of a lidar, of a packet format that is not supported, or has numbers with
+            which packets cannot be counted or decoded.
     """
 
     def __init__(self, metadata: str) -> None:
@@ -50,10 +51,11 @@ class OusterFormat:
             azimuth = -np.radians(np.array(flat["beam_azimuth_angles"], float).reshape(-1))
             beam_origin_m = float(flat.get("lidar_origin_to_beam_origin_mm", 0.0)) / 1000.0
             to_sensor = np.reshape(np.array(flat["lidar_to_sensor_transform"], float), (4, 4))
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
             raise MetadataError(f"not the metadata of an Ouster lidar: {error!r}") from error
         if self.profile_name not in PROFILES:
             raise MetadataError(f"packet format {self.profile_name}; known: {', '.join(PROFILES)}")
+        self._check_numbers()
         if not self.beams == len(altitude) == len(azimuth):
             raise MetadataError(f"{self.beams} pixels a column, {len(altitude)} and {len(azimuth)} beam angles")
         turned, aside = to_sensor[2, :2], to_sensor[:2, 3]
@@ -79,6 +81,19 @@ class OusterFormat:
         heading_rad = encoder + np.arctan2(to_sensor[1, 0], to_sensor[0, 0])
         self.cos_sin = np.stack([np.cos(heading_rad), np.sin(heading_rad)], axis=1).astype(np.float32)
         self.beam_geometry = _beams(altitude, azimuth, beam_origin_m, to_sensor[2, 3] / 1000.0)
+
+    def _check_numbers(self) -> None:
+        """Refuse numbers with which packets cannot be counted or put into range images."""
+        for name in ("columns_per_frame", "columns_per_packet"):
+            if getattr(self, name) < 1:
+                raise MetadataError(f"{name} {getattr(self, name)}: expected 1 or more")
+        if self.columns_per_frame % self.columns_per_packet:
+            raise MetadataError(
+                f"columns_per_frame {self.columns_per_frame}: expected a multiple of columns_per_packet, "
+                f"which is {self.columns_per_packet}"
+            )
+        if self.beams < 1 or MOST_BEAMS % self.beams:
+            raise MetadataError(f"pixels_per_column {self.beams}: expected a number that divides {MOST_BEAMS}")
 
 
 def _beams(altitude: np.ndarray, azimuth: np.ndarray, beam_origin_m: float, height_m: float) -> np.ndarray:

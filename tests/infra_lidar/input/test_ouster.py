@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.infra_lidar.input.ouster import OusterFormat, OusterParser, decode
+from services.infra_lidar.input.ouster import MetadataError, OusterFormat, OusterParser, decode
 from services.infra_lidar.input.ouster_profiles import PROFILES
 from services.infra_lidar.input.revolution import Revolution
 from tests.infra_lidar.ouster_packets import COLUMNS, FIELDS, Frame, metadata, point_of
@@ -124,6 +125,32 @@ def test_points_are_those_of_the_vendors_library(profile: str, record_property: 
         largest = np.abs(ours - xyz)[returned].max()
         record_property(f"return {one + 1}, largest difference (mm)", float(1000 * largest))
         assert largest < 2e-4
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("columns_per_frame", 0, "columns_per_frame 0: expected 1 or more"),
+        ("columns_per_frame", -512, "columns_per_frame -512: expected 1 or more"),
+        ("columns_per_frame", 8, "columns_per_frame 8: expected a multiple of columns_per_packet, which is 16"),
+        ("columns_per_frame", 1000, "columns_per_frame 1000: expected a multiple of columns_per_packet, which is 16"),
+        ("columns_per_frame", float("inf"), "not the metadata of an Ouster lidar"),
+        ("columns_per_packet", 0, "columns_per_packet 0: expected 1 or more"),
+        ("columns_per_packet", -16, "columns_per_packet -16: expected 1 or more"),
+        ("columns_per_packet", 1024, "columns_per_frame 512: expected a multiple of columns_per_packet, which is 1024"),
+        ("pixels_per_column", 0, "pixels_per_column 0: expected a number that divides 128"),
+        ("pixels_per_column", 48, "pixels_per_column 48: expected a number that divides 128"),
+        ("pixels_per_column", 256, "pixels_per_column 256: expected a number that divides 128"),
+    ],
+)
+def test_metadata_that_cannot_be_used_are_refused(name: str, value: float, words: str) -> None:
+    document = json.loads(metadata("RNG19_RFL8_SIG16_NIR16"))
+    document["lidar_data_format"][name] = value
+    beams = document["lidar_data_format"]["pixels_per_column"]
+    for angles in ("beam_altitude_angles", "beam_azimuth_angles"):
+        document["beam_intrinsics"][angles] = [0.0] * beams
+    with pytest.raises(MetadataError, match=words):
+        OusterFormat(json.dumps(document))
 
 
 @settings(max_examples=100, deadline=None)
