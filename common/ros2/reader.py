@@ -66,7 +66,6 @@ class TopicReader:
         self._sequences = _Sequences()
         self._refused = ""  # why the newest message was refused; "" after a good one
         self._newest_ns = 0
-        self._dropped = 0
         self._lock = threading.Lock()
 
     def __enter__(self) -> TopicReader:
@@ -114,12 +113,6 @@ class TopicReader:
             refused = self._refused
         return f"ROS topic {self.topic.name}: {refused or self.graph.why_silent(self.topic, self._hash)}"
 
-    def taken_dropped(self) -> int:
-        """How many messages were dropped for newer ones since this was asked last."""
-        with self._lock:
-            dropped, self._dropped = self._dropped, 0
-        return dropped
-
     def refuse(self, why: str, counted: str) -> None:
         """The newest message could not be used: by this reader, or by whoever took it."""
         with self._lock:
@@ -148,8 +141,6 @@ class TopicReader:
             try:
                 self._queue.get_nowait()
                 self._report.dropped()
-                with self._lock:
-                    self._dropped += 1
             except queue.Empty:  # taken at this very moment
                 pass
         self._queue.put_nowait((received_ns, sample.payload.to_bytes()))

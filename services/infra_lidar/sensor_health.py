@@ -21,7 +21,6 @@ class FrameQuality:
     packets: int = 0
     packets_lost: int = 0
     complete: bool = True
-    dropped_frames: int = 0
 
 
 _FINE = FrameQuality()

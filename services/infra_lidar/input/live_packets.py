@@ -9,7 +9,6 @@ import struct
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from ipaddress import ip_address
 
 from common.bus.status import Report
@@ -136,7 +135,6 @@ class Receiver:
 
     def _receive(self) -> None:
         buffer = bytearray(65536)
-        dropped = 0
         reported: Counter[str] = Counter()
         while not self._stop.is_set():
             try:
@@ -153,8 +151,7 @@ class Receiver:
                 continue
             count_losses(revolution.quality, self._report)
             reported = self._report_counters(reported)
-            revolution = replace(revolution, quality=replace(revolution.quality, dropped_frames=dropped))
-            dropped = self._offer(revolution)
+            self._offer(revolution)
 
     def _is_stranger(self, address: str, packet: bytes) -> bool:
         """Whether the packet is not the sensor's: of another sender or of another kind. It is counted."""
@@ -177,13 +174,11 @@ class Receiver:
             self._report.bad_input(name, count)
         return now
 
-    def _offer(self, revolution: Revolution) -> int:
-        """Queue it, in place of the oldest one if the queue is full. Returns the number of dropped ones."""
+    def _offer(self, revolution: Revolution) -> None:
+        """Queue it, in place of the oldest one, which is counted, if the queue is full."""
         try:
             self._frames.put_nowait(revolution)
-            return 0
         except queue.Full:
             self._frames.get_nowait()
             self._report.dropped()
             self._frames.put_nowait(revolution)
-            return 1

@@ -26,7 +26,6 @@ from services.infra_lidar.input.pointcloud2 import points_of_message
 from services.infra_lidar.input.revolution import Revolution
 from services.infra_lidar.input.sensors import model_of
 from services.infra_lidar.input.spinning import PacketParser
-from services.infra_lidar.sensor_health import FrameQuality
 
 VELODYNE, OUSTER = "velodyne_msgs/msg/VelodyneScan", "ouster_sensor_msgs/msg/PacketMsg"
 NEBULA, RSLIDAR = "nebula_msgs/msg/NebulaPackets", "rslidar_msg/msg/RslidarPacket"
@@ -130,8 +129,7 @@ def _clouds(reader: TopicReader) -> Iterator[tuple[int, Frame]]:
             except FrameError as error:
                 reader.refuse(str(error), "unreadable cloud")
                 continue
-            quality = FrameQuality(dropped_frames=reader.taken_dropped())
-            yield arrived.stamp_ns, Frame(points, arrived.received_ns, quality)
+            yield arrived.stamp_ns, Frame(points, arrived.received_ns)
 
 
 def _revolutions(reader: TopicReader, packets: Packets, report: Report) -> Iterator[tuple[int, Frame]]:
