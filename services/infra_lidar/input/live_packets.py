@@ -7,7 +7,6 @@ import queue
 import socket
 import struct
 import threading
-from collections import Counter
 from collections.abc import Callable, Iterator
 from ipaddress import ip_address
 
@@ -17,7 +16,7 @@ from common.config import ConfigError
 from common.source_url import SourceUrl, port_in
 from services.infra_lidar.input.calibration_files import asked_metadata, named_metadata
 from services.infra_lidar.input.models import KINDS
-from services.infra_lidar.input.packets import Frame, count_losses, frame_of
+from services.infra_lidar.input.packets import Frame, ParserCounts, count_losses, frame_of
 from services.infra_lidar.input.revolution import Revolution
 from services.infra_lidar.input.sensors import Sender, model_of
 from services.infra_lidar.input.spinning import PacketParser
@@ -135,7 +134,7 @@ class Receiver:
 
     def _receive(self) -> None:
         buffer = bytearray(65536)
-        reported: Counter[str] = Counter()
+        counts = ParserCounts(self._report)
         while not self._stop.is_set():
             try:
                 length, (address, *_) = self._socket.recvfrom_into(buffer)
@@ -147,11 +146,10 @@ class Receiver:
             if self._is_stranger(address, packet):
                 continue
             revolution = self._parser.feed(packet, utc_ns())
-            if revolution is None:
-                continue
-            count_losses(revolution.quality, self._report)
-            reported = self._report_counters(reported)
-            self._offer(revolution)
+            counts.update(self._parser)
+            if revolution is not None:
+                count_losses(revolution.quality, self._report)
+                self._offer(revolution)
 
     def _is_stranger(self, address: str, packet: bytes) -> bool:
         """Whether the packet is not the sensor's: of another sender or of another kind. It is counted."""
@@ -166,13 +164,6 @@ class Receiver:
             self._strangers.add(stranger)
             log.warning("UDP port %d also gets packets of %s; they are not used", self.port, stranger)
         return True
-
-    def _report_counters(self, reported: Counter[str]) -> Counter[str]:
-        """Add to the report what the parser has counted beyond ``reported``; returns what has been reported then."""
-        now = Counter({"packet of another kind": self._parser.rejected}) + self._parser.order.counters
-        for name, count in (now - reported).items():
-            self._report.bad_input(name, count)
-        return now
 
     def _offer(self, revolution: Revolution) -> None:
         """Queue it, in place of the oldest one, which is counted, if the queue is full."""

@@ -114,14 +114,13 @@ def _expect_packets(layout: OusterFormat, path: Path, sender: Sender, url: Sourc
 
 def decoded(packets: Iterator[tuple[int, bytes]], parser: PacketParser, report: Report) -> Iterator[Recorded]:
     """The revolutions of (UTC ns, packet); what is lost, doubled, late or foreign is counted."""
+    counts = ParserCounts(report)
     for stamp_ns, packet in packets:
         revolution = parser.feed(packet, stamp_ns)
+        counts.update(parser)
         if revolution is not None:
             count_losses(revolution.quality, report)
             yield revolution.stamp_ns / 1e9, frame_of(revolution)
-    report.bad_input("packet of another kind", parser.rejected)
-    for name, count in parser.order.counters.items():
-        report.bad_input(name, count)
     if isinstance(parser, OusterParser):  # its last revolution has no packet after it
         last = parser.flush()
         if last is not None:
@@ -138,3 +137,20 @@ def count_losses(quality: FrameQuality, report: Report) -> None:
     """Add what is missing of a revolution to the counters of the service."""
     report.bad_input("packet lost", quality.packets_lost)
     report.bad_input("incomplete revolution", int(not quality.complete))
+
+
+class ParserCounts:
+    """Adds to the counters of a service what a parser has counted. ``update`` it after each packet, it is cheap."""
+
+    def __init__(self, report: Report) -> None:
+        self._report = report
+        self._reported: Counter[str] = Counter()
+
+    def update(self, parser: PacketParser) -> None:
+        """What has come since the last time: packets of another kind, doubled, late and damaged ones, faults."""
+        if parser.rejected + parser.order.counters.total() == self._reported.total():
+            return
+        now = Counter({"packet of another kind": parser.rejected}) + parser.order.counters
+        for name, count in (now - self._reported).items():
+            self._report.bad_input(name, count)
+        self._reported = now

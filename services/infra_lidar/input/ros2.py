@@ -20,7 +20,7 @@ from services.infra_lidar.input.bags import CLOUD, BagError, packets_of
 from services.infra_lidar.input.calibration_files import read_hesai, read_ouster, read_robosense
 from services.infra_lidar.input.hesai_calibration import CalibrationError
 from services.infra_lidar.input.models import KINDS
-from services.infra_lidar.input.packets import Frame, count_losses, frame_of
+from services.infra_lidar.input.packets import Frame, ParserCounts, count_losses, frame_of
 from services.infra_lidar.input.pcd import FrameError
 from services.infra_lidar.input.pointcloud2 import points_of_message
 from services.infra_lidar.input.revolution import Revolution
@@ -55,7 +55,7 @@ def ros_frames(url: SourceUrl, zenoh: ZenohConfig, report: Report) -> Iterator[t
     if topic.type == CLOUD:
         return _clouds(TopicReader(topic, session, report, NODE))
     kind = _kind(url, topic)
-    packets = Packets(kind, _metadata(url, kind, topic), url.number("cut", 0.0))
+    packets = Packets(kind, _metadata(url, kind, topic), url.number("cut", 0.0), ParserCounts(report))
     waiting = WAITING_PACKETS if topic.type in ONE_A_MESSAGE else 2
     return _revolutions(TopicReader(topic, session, report, NODE, waiting), packets, report)
 
@@ -89,11 +89,11 @@ class PacketError(ValueError):
 class Packets:
     """The packets of a topic on their way to the parser; it is made when what it needs is there.
 
-    metadata: None = the angles come in a DIFOP packet.
+    metadata: None = the angles come in a DIFOP packet. counts: told what the parser counts.
     """
 
-    def __init__(self, kind: str, metadata: str | None, cut_deg: float) -> None:
-        self._kind, self._cut_deg = kind, cut_deg
+    def __init__(self, kind: str, metadata: str | None, cut_deg: float, counts: ParserCounts) -> None:
+        self._kind, self._cut_deg, self._counts = kind, cut_deg, counts
         self._parser: PacketParser | None = None if metadata is None else KINDS[kind].parser(metadata, cut_deg)
 
     def feed(self, packet: bytes, stamp_ns: int) -> Revolution | None:
@@ -111,7 +111,9 @@ class Packets:
         if not self._parser.accepts(packet):
             what = model_of(packet) or "an unknown sensor"
             raise PacketError(f"packets of {what}, expected those of a supported {self._kind} sensor")
-        return self._parser.feed(packet, stamp_ns)
+        revolution = self._parser.feed(packet, stamp_ns)
+        self._counts.update(self._parser)
+        return revolution
 
     def _take_angles(self, packet: bytes) -> None:
         try:

@@ -164,6 +164,36 @@ def test_hesai_packets_of_three_drivers(router_endpoint, ros, until, tmp_path: P
     assert abs(utc_ns() - stamp_ns) < 60 * 10**9, "a packet without a stamp has its message's"
 
 
+def hesai_with(third: HesaiPacket | None = None) -> list[bytes]:
+    """Packets with check sums that are right; ``third`` comes in place of the third."""
+    plain = [HesaiPacket(sequence=k, azimuth=(600 * k, 600 * k + 20)) for k in range(4)]
+    return [packet.build() for packet in [*plain[:2], third or plain[2], plain[3]]]
+
+
+DAMAGED = hesai_with()
+DAMAGED[2] = DAMAGED[2][:100] + b"?" + DAMAGED[2][101:]
+
+
+@pytest.mark.parametrize(
+    ("packets", "counted"),
+    [
+        ([*hesai_with(), hesai_with()[3]], {"packet doubled": 1}),
+        ([HESAI[0], HESAI[2], HESAI[1]], {"packet late": 1}),
+        (DAMAGED, {"packet damaged": 1}),
+        (hesai_with(HesaiPacket(sequence=2, azimuth=(1200, 1220), safety_state=6)), {"sensor reports shutdown": 1}),
+    ],
+)
+def test_what_the_parser_counts_is_in_the_status(
+    router_endpoint, ros, until, tmp_path: Path, packets: list[bytes], counted: dict[str, int]
+) -> None:
+    """Without a revolution that has ended."""
+    (tmp_path / "angles.csv").write_text(ANGLES)
+    opened = Opened(f"ros2:/packets?type={NEBULA}&calibration={tmp_path}/angles.csv&sensor=hesai", router_endpoint)
+    publish = connected(until, Node(ros, "driver").publisher("/packets", NEBULA, SENSOR_DATA))
+    publish(as_message(NEBULA, packets))
+    until(lambda: counted.items() <= opened.report.snapshot().counters.items())
+
+
 def test_robosense_packets_wait_for_the_angles_that_come_among_them(router_endpoint, ros, until) -> None:
     opened = Opened(f"ros2:/rslidar_packets?type={RSLIDAR}", router_endpoint)
     publish = connected(until, Node(ros, "driver").publisher("/rslidar_packets", RSLIDAR, SENSOR_DATA))
