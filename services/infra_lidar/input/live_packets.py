@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import queue
 import socket
 import struct
@@ -11,21 +10,18 @@ from collections.abc import Callable, Iterator
 from ipaddress import ip_address
 
 from common.bus.status import Report
-from common.clock import utc_ns
+from common.clock import monotonic_s, utc_ns
 from common.config import ConfigError
 from common.source_url import SourceUrl, port_in
+from services.infra_lidar.input.arrivals import Arrivals
 from services.infra_lidar.input.calibration_files import asked_metadata, named_metadata
 from services.infra_lidar.input.models import KINDS
 from services.infra_lidar.input.packets import Frame, ParserCounts, count_losses, frame_of
 from services.infra_lidar.input.revolution import Revolution
-from services.infra_lidar.input.sensors import Sender, model_of
 from services.infra_lidar.input.spinning import PacketParser
-
-log = logging.getLogger(__name__)
 
 RECEIVE_BUFFER_BYTES = 8 << 20  # a fifth of a second of a 128-beam sensor
 SILENCE_S = 1.0
-MAX_STRANGERS = 4  # that are named
 WAITING_FRAMES = 2  # older ones are dropped: a late frame is worth less than the next
 
 
@@ -89,7 +85,7 @@ class Receiver:
         self._parser = parser
         self._report = report
         self._configured = self._sender = sender
-        self._strangers: set[Sender] = set()  # who else sends here
+        self._counts = ParserCounts(report)
         self._frames: queue.Queue[Revolution] = queue.Queue(WAITING_FRAMES)
         self._stop = threading.Event()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -105,6 +101,7 @@ class Receiver:
             self._socket.close()
             raise ConfigError(f"cannot listen on UDP port {port}: {error}") from None
         self.port: int = self._socket.getsockname()[1]
+        self._arrivals = Arrivals(self.port)
         self._thread = threading.Thread(target=self._receive, name="packets", daemon=True)
         self._thread.start()
 
@@ -122,19 +119,16 @@ class Receiver:
         self._socket.close()
 
     def why_nothing(self) -> str:
-        """Why no revolution comes: nobody sends here, or somebody else does."""
-        if self._strangers:
-            others = "; ".join(sorted(map(str, self._strangers)))
-            return f"UDP port {self.port} has no packets of the sensor that is configured, but of {others}"
-        return f"no packets on UDP port {self.port}; check the sensor's power, cable, address"
+        """Why no revolution comes, as a sentence for a person. See ``Arrivals``."""
+        return self._arrivals.why_nothing(monotonic_s())
 
     def forget_sender(self) -> None:
         """Take the next sender of fitting packets, unless one was configured: the sensor may have a new address."""
         self._sender = self._configured
+        self._arrivals.forget()
 
     def _receive(self) -> None:
         buffer = bytearray(65536)
-        counts = ParserCounts(self._report)
         while not self._stop.is_set():
             try:
                 length, (address, *_) = self._socket.recvfrom_into(buffer)
@@ -143,13 +137,22 @@ class Receiver:
             except OSError:
                 return  # closed
             packet = bytes(memoryview(buffer)[:length])
-            if self._is_stranger(address, packet):
-                continue
-            revolution = self._parser.feed(packet, utc_ns())
-            counts.update(self._parser)
-            if revolution is not None:
-                count_losses(revolution.quality, self._report)
-                self._offer(revolution)
+            if not self._is_stranger(address, packet):
+                self._take(address, packet)
+
+    def _take(self, address: str, packet: bytes) -> None:
+        """A packet of the sensor."""
+        rejected = self._parser.rejected
+        revolution = self._parser.feed(packet, utc_ns())
+        if self._parser.rejected > rejected:
+            self._arrivals.unfit(address, packet)
+        else:
+            self._arrivals.fitting(monotonic_s())
+        self._counts.update(self._parser)
+        if revolution is not None:
+            count_losses(revolution.quality, self._report)
+            self._arrivals.forget()
+            self._offer(revolution)
 
     def _is_stranger(self, address: str, packet: bytes) -> bool:
         """Whether the packet is not the sensor's: of another sender or of another kind. It is counted."""
@@ -158,11 +161,8 @@ class Receiver:
         if not self._sender and self._parser.accepts(packet):
             self._sender = address
             return False
+        self._arrivals.stranger(address, packet)
         self._report.bad_input("packet of another sensor" if self._parser.accepts(packet) else "packet of another kind")
-        stranger = Sender(address, self.port, model_of(packet))
-        if stranger not in self._strangers and len(self._strangers) < MAX_STRANGERS:
-            self._strangers.add(stranger)
-            log.warning("UDP port %d also gets packets of %s; they are not used", self.port, stranger)
         return True
 
     def _offer(self, revolution: Revolution) -> None:

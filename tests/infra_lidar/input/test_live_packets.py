@@ -1,0 +1,99 @@
+"""A UDP port that a sensor sends to: what is said and counted while no revolution comes of it."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from common.bus.status import Report
+from services.infra_lidar.input.arrivals import Arrivals
+from services.infra_lidar.input.hesai_calibration import as_metadata
+from services.infra_lidar.input.live_packets import Receiver
+from services.infra_lidar.input.models import KINDS
+from services.infra_lidar.input.ouster import OusterFormat
+from services.infra_lidar.input.spinning import PacketParser
+from services.infra_lidar.input.velodyne import Vls128Parser
+from tests.infra_lidar import ouster_packets
+from tests.infra_lidar.hesai_packets import ANGLES
+from tests.infra_lidar.hesai_packets import Packet as HesaiPacket
+from tests.infra_lidar.made_packets import vls_packet
+
+HERE = "127.0.0.1"
+VLP16 = vls_packet(0.0, product=0x22)
+OUSTER = bytes(OusterFormat(ouster_packets.metadata("LEGACY")).packet_bytes)
+FITTING, UNFIT, STRANGER = "fitting", "unfit", "stranger"
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        ([], "no packets on UDP port 7; check the sensor's power, cable, address"),
+        ([FITTING], "UDP port 7 has packets of the sensor, but no revolution was completed; check how it turns"),
+        ([FITTING, UNFIT, STRANGER], "UDP port 7 has packets of the sensor, but no revolution was completed"),
+        (
+            [UNFIT, UNFIT, STRANGER],
+            "UDP port 7 has 2 packets of Velodyne VLP-16 at 1.2.3.4, port 7 (not supported), none of the expected kind "
+            "or size; check the sensor's mode, and the metadata or calibration of `source`",
+        ),
+        (
+            [STRANGER],
+            "UDP port 7 has no packets of the sensor that is configured, but of Velodyne VLP-16 at 9.9.9.9, port 7",
+        ),
+    ],
+)
+def test_why_no_revolution_comes(told: list[str], words: str) -> None:
+    arrivals = Arrivals(7)
+    for what in told:
+        if what == FITTING:
+            arrivals.fitting(100.0)
+        elif what == UNFIT:
+            arrivals.unfit("1.2.3.4", VLP16)
+        else:
+            arrivals.stranger("9.9.9.9", VLP16)
+    assert arrivals.why_nothing(100.1).startswith(words)
+    arrivals.forget()
+    assert arrivals.why_nothing(101.0).startswith("no packets on UDP port 7"), "what has stopped is not told again"
+
+
+@contextmanager
+def received(parser: PacketParser, sender: str, report: Report) -> Iterator[tuple[Receiver, Callable[[bytes], None]]]:
+    """A receiver that listens to ``sender``, and a function that sends to it from this machine."""
+    receiver = Receiver(HERE, 0, parser, report, sender)
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor:
+            yield receiver, lambda packet: sensor.sendto(packet, (HERE, receiver.port)) and None
+    finally:
+        receiver.close()
+
+
+@pytest.mark.parametrize(
+    ("kind", "metadata", "packet", "model"),
+    [
+        ("ouster", ouster_packets.metadata("RNG15_RFL8_NIR8"), OUSTER, "Ouster with 128 beams, LEGACY"),
+        ("hesai", as_metadata(ANGLES), VLP16, "Velodyne VLP-16"),
+        ("velodyne", "", HesaiPacket().build(), "Hesai Pandar128E3X or OT128"),
+    ],
+)
+def test_packets_of_the_sensor_that_do_not_fit_are_told_and_counted(
+    until: Callable[..., None], kind: str, metadata: str, packet: bytes, model: str
+) -> None:
+    report = Report("test")
+    with received(KINDS[kind].parser(metadata, 0.0), HERE, report) as (receiver, send):
+        for _ in range(3):
+            send(packet)
+        until(lambda: report.snapshot().counters == {"packet of another kind": 3})
+        assert f"has 3 packets of {model}" in receiver.why_nothing()
+        assert "none of the expected kind or size" in receiver.why_nothing()
+
+
+def test_strangers_that_have_stopped_are_forgotten(until: Callable[..., None]) -> None:
+    report = Report("test")
+    with received(Vls128Parser(), "", report) as (receiver, send):
+        send(VLP16)
+        until(lambda: report.snapshot().counters == {"packet of another kind": 1})
+        assert "but of Velodyne VLP-16" in receiver.why_nothing()
+        receiver.forget_sender()
+        assert receiver.why_nothing().startswith("no packets on UDP port")
