@@ -7,6 +7,7 @@ import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from ipaddress import ip_address
 
 from common.bus.status import Report
@@ -87,6 +88,7 @@ class Receiver:
         self._configured = self._sender = sender
         self._counts = ParserCounts(report)
         self._frames: queue.Queue[Revolution] = queue.Queue(WAITING_FRAMES)
+        self._failure: Exception | None = None
         self._stop = threading.Event()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
@@ -102,14 +104,20 @@ class Receiver:
             raise ConfigError(f"cannot listen on UDP port {port}: {error}") from None
         self.port: int = self._socket.getsockname()[1]
         self._arrivals = Arrivals(self.port)
-        self._thread = threading.Thread(target=self._receive, name="packets", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="packets", daemon=True)
         self._thread.start()
 
     def next(self, timeout_s: float) -> Revolution | None:
-        """The next revolution; None if none is complete within ``timeout_s``."""
+        """The next revolution; None if none is complete within ``timeout_s``.
+
+        Raises:
+            Exception: what has ended the receiving thread.
+        """
         try:
             return self._frames.get(timeout=timeout_s)
         except queue.Empty:
+            if self._failure is not None:
+                raise self._failure from None
             return None
 
     def close(self) -> None:
@@ -127,6 +135,13 @@ class Receiver:
         self._sender = self._configured
         self._arrivals.forget()
 
+    def _run(self) -> None:
+        """The thread. What ends it is kept for ``next``: silence would look like a sensor that does not send."""
+        try:
+            self._receive()
+        except Exception as error:  # noqa: BLE001  whatever it is, it is raised where somebody waits
+            self._failure = error
+
     def _receive(self) -> None:
         buffer = bytearray(65536)
         while not self._stop.is_set():
@@ -135,7 +150,9 @@ class Receiver:
             except BlockingIOError:
                 continue  # nothing came in time
             except OSError:
-                return  # closed
+                if self._stop.is_set():
+                    return  # closed
+                raise
             packet = bytes(memoryview(buffer)[:length])
             if not self._is_stranger(address, packet):
                 self._take(address, packet)
@@ -170,6 +187,7 @@ class Receiver:
         try:
             self._frames.put_nowait(revolution)
         except queue.Full:
-            self._frames.get_nowait()
-            self._report.dropped()
+            with suppress(queue.Empty):  # taken at this very moment
+                self._frames.get_nowait()
+                self._report.dropped()
             self._frames.put_nowait(revolution)

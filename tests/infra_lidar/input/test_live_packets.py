@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import queue
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,11 +10,13 @@ from contextlib import contextmanager
 import pytest
 
 from common.bus.status import Report
+from services.infra_lidar.input import live_packets
 from services.infra_lidar.input.arrivals import Arrivals
 from services.infra_lidar.input.hesai_calibration import as_metadata
 from services.infra_lidar.input.live_packets import Receiver
 from services.infra_lidar.input.models import KINDS
 from services.infra_lidar.input.ouster import OusterFormat
+from services.infra_lidar.input.revolution import Revolution
 from services.infra_lidar.input.spinning import PacketParser
 from services.infra_lidar.input.velodyne import Vls128Parser
 from tests.infra_lidar import ouster_packets
@@ -97,3 +100,41 @@ def test_strangers_that_have_stopped_are_forgotten(until: Callable[..., None]) -
         assert "but of Velodyne VLP-16" in receiver.why_nothing()
         receiver.forget_sender()
         assert receiver.why_nothing().startswith("no packets on UDP port")
+
+
+class FailingParser(Vls128Parser):
+    """Its first packet raises an error that nobody has thought of."""
+
+    def feed(self, packet: bytes, stamp_ns: int) -> Revolution | None:
+        raise ZeroDivisionError("unthought of")
+
+
+def test_an_error_in_the_receiving_thread_reaches_who_waits() -> None:
+    with received(FailingParser(), "", Report("test")) as (receiver, send):
+        send(vls_packet(0.0))
+        with pytest.raises(ZeroDivisionError, match="unthought of"):
+            any(receiver.next(0.05) for _ in range(400))  # again and again, as the source does
+        with pytest.raises(ZeroDivisionError, match="unthought of"):
+            receiver.next(0.0)
+
+
+class TakenInBetween(queue.Queue[Revolution]):
+    """The queue is full when a revolution is put into it, and empty when the oldest is to make room for it."""
+
+    full_once = True
+
+    def put_nowait(self, item: Revolution) -> None:
+        if self.full_once:
+            self.full_once = False
+            raise queue.Full
+        super().put_nowait(item)
+
+
+def test_a_queue_that_is_emptied_meanwhile_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_packets.queue, "Queue", TakenInBetween)
+    report = Report("test")
+    with received(Vls128Parser(), "", report) as (receiver, send):
+        for k in range(130):
+            send(vls_packet(3 * k % 360, time_us=166 * k))
+        assert receiver.next(20.0) is not None
+    assert report.snapshot().dropped == 0
