@@ -116,6 +116,10 @@ class ClassifierConfig(Section, frozen=True, kw_only=True):
     site_model: str = ""  # what `spotter-infra-lidar adapt` writes; used instead of `model` as long as it is there
     min_confidence: Share = 0.45  # below this an object is "unknown": an obstacle of no known class
 
+    def __post_init__(self) -> None:
+        if self.site_model and not self.site_model.endswith(".npz"):
+            raise ValueError(f'site_model = "{self.site_model}": the name has to end in .npz')
+
 
 class InfraLidarConfig(ServiceConfig, frozen=True, kw_only=True):
     """The whole service."""

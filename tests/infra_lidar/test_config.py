@@ -34,3 +34,15 @@ def test_the_shipped_file_equals_the_defaults_and_lists_every_key():
 def test_wrong_settings_are_refused(setting):
     with pytest.raises(ConfigError):
         load(InfraLidarConfig, None, [setting])
+
+
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        ("classifier.site_model=site_forest", '[classifier] site_model = "site_forest": the name has to end in .npz'),
+    ],
+)
+def test_a_refusal_names_the_key_its_value_and_what_is_allowed(setting, says):
+    with pytest.raises(ConfigError) as told:
+        load(InfraLidarConfig, None, [setting])
+    assert says in str(told.value)

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from common.bus.service_app import load_config, setup_logging
+from common.bus.service_app import check_output, load_config, setup_logging
 from common.config import ConfigError
 from services.infra_lidar.classification.classes import BACKGROUND, CLASSES
 from services.infra_lidar.classification.classifier import Classifier
+from services.infra_lidar.classification.forest import SUFFIX
 from services.infra_lidar.config import InfraLidarConfig
 
 if TYPE_CHECKING:
@@ -44,8 +45,7 @@ def adapt(
         return
     if importlib.util.find_spec("sklearn") is None:
         raise ConfigError('adapt needs the extra `train`: uv pip install -c constraints.txt ".[train]"')
-    if not path.parent.is_dir():
-        raise ConfigError(f"{path}: no folder {path.parent}")
+    check_output(path, SUFFIX)
     outcome = _learn(config, seconds)
     _refuse(outcome.objections)
     try:

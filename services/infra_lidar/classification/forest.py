@@ -15,6 +15,7 @@ from common.config import ConfigError
 from services.infra_lidar.jit import kernel
 
 _ARRAYS = ("feature", "threshold", "left", "right", "leaf", "value", "root", "calibration_x", "calibration_y")
+SUFFIX = ".npz"
 _LEAST = 1e-6  # probability of a class that no tree votes for
 
 
@@ -93,7 +94,11 @@ class Forest:
         return total.hexdigest()
 
     def save(self, path: Path) -> None:
-        """Write what ``load_forest`` reads, with a checksum over all of it."""
+        """Write what ``load_forest`` reads, with a checksum over all of it, under exactly this name.
+
+        Raises:
+            OSError: it cannot be written; a file of that name stays as it was.
+        """
         header = {
             "classes": self.classes,
             "features": self.features,
@@ -101,7 +106,13 @@ class Forest:
             "sha256": self.digest,
         }
         arrays = {name: getattr(self, name) for name in _ARRAYS}
-        np.savez_compressed(path, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **arrays)
+        part = path.with_name(f"{path.name}.tmp")
+        try:
+            with part.open("wb") as file:  # of a name alone NumPy would make another where it has no ``.npz``
+                np.savez_compressed(file, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **arrays)
+            part.replace(path)  # never half a model: this may be the one in use
+        finally:
+            part.unlink(missing_ok=True)
 
 
 @kernel

@@ -10,9 +10,10 @@ from typing import Annotated
 
 import typer
 
-from common.bus.service_app import setup_logging
+from common.bus.service_app import check_output, setup_logging
 from common.config import ConfigError
 from services.infra_lidar.classification.classifier import SHIPPED_MODEL
+from services.infra_lidar.classification.forest import SUFFIX
 from services.infra_lidar.config import InfraLidarConfig
 
 log = logging.getLogger(__name__)
@@ -44,8 +45,7 @@ def train(
     _needs_train()
     from services.infra_lidar.training.train import BACKGROUND_WEIGHT, ForestSettings, train_forest, training_set
 
-    if not output.parent.is_dir():
-        raise ConfigError(f"--output {output}: no folder {output.parent}")
+    check_output(output, SUFFIX)
     clusters, weight, story = training_set(folder, scenes, bodies, TRAIN_SEED)
     log.info("training on %d clusters", len(clusters))
     background = 1.0 if folder else BACKGROUND_WEIGHT

@@ -102,6 +102,16 @@ def test_the_site_forest_is_used_while_it_is_there_and_undone_with_one_command(i
     assert "nothing to undo" in str(CliRunner().invoke(app, undo).exception)
 
 
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [("site", "site: the name has to end in .npz"), ("none/site.npz", "no folder none")],
+)
+def test_where_it_cannot_be_written_is_said_before_the_recording(name, says, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused = CliRunner().invoke(app, ["--source", "file:no_recording", "adapt", "-o", name])
+    assert says in str(refused.exception)
+
+
 @pytest.mark.slow
 def test_on_a_real_motorway_trees_and_barriers_are_clutter_and_cars_in_their_lanes_are_not(recording):
     pictures = sorted(recording("roadside-lidar80").glob("frame_*.npz"))

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import pytest
@@ -95,6 +96,26 @@ def test_a_saved_forest_reads_back_equal(tmp_path: Path) -> None:
     assert again.digest == forest.digest
     assert again.classes == CLASSES
     assert again.provenance == forest.provenance
+
+
+def test_a_forest_is_written_under_the_name_that_was_given(tmp_path: Path) -> None:
+    two_stumps().save(tmp_path / "my_model")
+    assert [path.name for path in tmp_path.iterdir()] == ["my_model"]
+    assert load_forest(tmp_path / "my_model").digest == two_stumps().digest
+
+
+def test_a_forest_that_cannot_be_written_leaves_the_one_in_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    two_stumps().save(tmp_path / "f.npz")
+
+    def full_disk(file: IO[bytes], **arrays: np.ndarray) -> None:
+        (Path(file) if isinstance(file, Path) else Path(file.name)).write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full_disk)
+    with pytest.raises(OSError, match="No space left"):
+        two_stumps().save(tmp_path / "f.npz")
+    assert [path.name for path in tmp_path.iterdir()] == ["f.npz"]
+    assert load_forest(tmp_path / "f.npz").digest == two_stumps().digest
 
 
 def _rewritten(path: Path, **changes: np.ndarray) -> Path:

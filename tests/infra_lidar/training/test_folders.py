@@ -162,6 +162,7 @@ def test_the_commands_answer_with_a_sentence(tmp_path: Path, monkeypatch: pytest
     data = str(part(tmp_path / "data"))
     assert "no such folder" in run("train", str(tmp_path / "nowhere"))
     assert "no folder" in run("train", data, "-o", str(tmp_path / "nowhere" / "forest.npz"))
+    assert "my_model: the name has to end in .npz" in run("train", data, "-o", str(tmp_path / "my_model"))
     assert "no folder test in it, but train" in run("evaluate", data)
     assert "no such model file" in run("evaluate", data, "--model", str(tmp_path / "nothing.npz"))
     (tmp_path / "text.npz").write_text("text")
