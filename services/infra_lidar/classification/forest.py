@@ -151,27 +151,34 @@ def load_forest(path: Path) -> Forest:
         ModelError: not a model, an older layout, damaged, or its arrays point outside of themselves.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            header = json.loads(file["header"].tobytes())
-            if "child" in file.files:
-                raise ModelError(f"{path}: a model of an older layout; train it again with `spotter-infra-lidar train`")
-            arrays = {name: file[name] for name in _ARRAYS}
-        forest = Forest(
-            **arrays,
-            classes=tuple(header["classes"]),
-            features=tuple(header["features"]),
-            provenance=header["provenance"],
-        )
+        forest, sha256 = _read(path)
+        digest = forest.digest
     except FileNotFoundError:
         raise ModelError(f"{path}: no such model file") from None
     except ModelError:
         raise
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except Exception as error:  # noqa: BLE001 - zip, zlib, NumPy and JSON each have errors of their own for damage
         raise ModelError(f"{path}: not a forest written by `spotter-infra-lidar train`: {error}") from None
-    if forest.digest != header["sha256"]:
+    if digest != sha256:
         raise ModelError(f"{path}: damaged, its contents do not match their SHA-256")
     _check(forest, path)
     return forest
+
+
+def _read(path: Path) -> tuple[Forest, str]:
+    """The forest in a file, not yet checked, and the SHA-256 that it states."""
+    with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        header = json.loads(file["header"].tobytes())
+        if "child" in file.files:
+            raise ModelError(f"{path}: a model of an older layout; train it again with `spotter-infra-lidar train`")
+        arrays = {name: file[name] for name in _ARRAYS}
+    forest = Forest(
+        **arrays,
+        classes=tuple(header["classes"]),
+        features=tuple(header["features"]),
+        provenance=dict(header["provenance"]),
+    )
+    return forest, header["sha256"]
 
 
 def _check(forest: Forest, path: Path) -> None:

@@ -6,6 +6,7 @@ import inspect
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
@@ -137,6 +138,57 @@ def test_damaged_files_are_refused_with_a_reason(tmp_path: Path) -> None:
         load_forest(_rewritten(path, threshold=np.zeros(6, np.float32)))
     with pytest.raises(ModelError, match="not a forest"):
         load_forest(_rewritten(path, header=np.frombuffer(b"{", np.uint8)))
+
+
+def _damaged(whole: bytes) -> Iterator[bytes]:
+    """The file cut off, and with a few bytes zeroed, at many places."""
+    for at in np.linspace(0, len(whole) - 1, 60).astype(int):
+        yield whole[:at]
+        for length in (1, 4, 64):
+            yield whole[:at] + bytes(min(length, len(whole) - at)) + whole[at + length :]
+
+
+def test_a_damaged_file_is_a_model_error_or_the_same_model(tmp_path: Path) -> None:
+    path = tmp_path / "f.npz"
+    two_stumps().save(path)
+    refused = []
+    for data in _damaged(path.read_bytes()):
+        path.write_bytes(data)
+        try:
+            assert load_forest(path).digest == two_stumps().digest
+        except ModelError as told:
+            refused.append(str(told))
+    assert len(refused) > 120
+    assert all(line.startswith(f"{path}: ") for line in refused)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "null", "[]", "7", '"x"', "{}", '{"classes": 5}',
+        '{"classes": null, "features": [], "provenance": {}, "sha256": ""}',
+        '{"classes": [], "features": 1.5, "provenance": {}, "sha256": ""}',
+        '{"classes": [], "features": [], "provenance": 3, "sha256": ""}',
+        '{"classes": [], "features": [], "provenance": {}}',
+        '{"classes": [], "features": [], "provenance": {}, "sha256": null}',
+    ],
+)  # fmt: skip
+def test_an_odd_header_is_a_model_error(header: str, tmp_path: Path) -> None:
+    two_stumps().save(tmp_path / "f.npz")
+    with pytest.raises(ModelError, match=r"f\.npz: (not a forest|damaged)"):
+        load_forest(_rewritten(tmp_path / "f.npz", header=np.frombuffer(header.encode(), np.uint8)))
+
+
+@pytest.mark.parametrize("content", [b"", b"\x93NUMPY", "array", bytes(500)])
+def test_a_file_of_another_kind_is_a_model_error(content: bytes | str, tmp_path: Path) -> None:
+    path = tmp_path / "f.npz"
+    if isinstance(content, str):
+        with path.open("wb") as file:
+            np.save(file, np.zeros(5))
+    else:
+        path.write_bytes(content)
+    with pytest.raises(ModelError, match=r"f\.npz: not a forest"):
+        load_forest(path)
 
 
 def test_a_model_of_the_older_layout_is_refused(tmp_path: Path) -> None:
