@@ -75,7 +75,8 @@ def objections(before: Figures, after: Figures, held_out: HeldOut) -> Iterator[s
         yield f"road users called right fall from {before.right:.1%} to {after.right:.1%}"
     if after.false > before.false:
         yield f"false road users rise from {before.false:.2f} to {after.false:.2f} a picture"
-    if after.right < before.right + GAIN and after.false > (1.0 - GAIN) * before.false:
+    fewer_false = after.false < before.false and after.false <= (1.0 - GAIN) * before.false  # 0 is not fewer than 0
+    if after.right < before.right + GAIN and not fewer_false:
         yield "it is no better: road users called right and false ones stay as they are"
     for c, name in enumerate(CLASSES):
         if c != BACKGROUND and after.recall[c] < before.recall[c] - FORGOTTEN:

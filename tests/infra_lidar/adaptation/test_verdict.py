@@ -33,6 +33,24 @@ def test_accepted_only_when_better(after, says):
     assert bool(says) == bool(found)
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
+        ((0.80, 0.0), (0.80, 0.0), "no better"),
+        ((0.80, 0.0), (0.81, 0.0), "no better"),
+        ((1.00, 0.0), (1.00, 0.0), "no better"),
+        ((0.80, 0.0), (0.83, 0.0), ""),
+        ((0.80, 10.0), (0.80, 9.9), "no better"),
+        ((0.80, 10.0), (0.80, 9.8), ""),
+        ((0.80, 0.1), (0.80, 0.0), ""),
+    ],
+)
+def test_one_of_both_figures_must_be_better_by_two_percent(before, after, says):
+    found = "; ".join(objections(Figures(*before, EVERY), Figures(*after, EVERY), ENOUGH))
+    assert says in found
+    assert bool(says) == bool(found)
+
+
 def test_too_few_road_users_are_too_few():
     few = ENOUGH._replace(labels=np.zeros(20, int))
     assert "0 road users moved" in next(objections(BEFORE, Figures(1.0, 0.0, EVERY), few))
