@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import defaultdict, deque
 from collections.abc import Iterator
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -159,11 +159,14 @@ def _write_folder(pictures: Iterator[np.ndarray], folder: Path) -> int:
 
 
 def _write_gif(pictures: Iterator[np.ndarray], path: Path) -> int:
+    first = list(islice(pictures, 1))  # before the writer opens: of no picture it fails, which hides why none came
+    if not first:
+        return 0
     figure = Figure(figsize=(_SIZE_PX / 100, _SIZE_PX / 100), dpi=100)
     FigureCanvasAgg(figure)
     writer, count = PillowWriter(fps=10), 0
     with writer.saving(figure, str(path), dpi=100):
-        for picture in pictures:
+        for picture in chain(first, pictures):
             figure.clear()
             figure.figimage(picture)
             writer.grab_frame()

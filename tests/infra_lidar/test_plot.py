@@ -72,6 +72,21 @@ def test_a_gif_has_every_frame(tmp_path: Path) -> None:
         assert moving.get_format_mimetype() == "image/gif"
 
 
+@pytest.mark.parametrize("output", ["out.png", "out.gif", "out"])
+def test_a_source_of_which_no_frame_can_be_read_says_so(output: str, tmp_path: Path) -> None:
+    (tmp_path / "recording").mkdir()
+    (tmp_path / "recording" / "000.npz").write_bytes(b"no frame")
+    config = InfraLidarConfig(source=f"file:{tmp_path / 'recording'}?rate=0")
+    with pytest.raises(ConfigError, match="no frame in it can be read"):
+        plot.plot_source(config, tmp_path / output, frames=2, reach_m=20.0)
+
+
+def test_a_gif_of_nothing_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plot, "open_source", lambda config, report: iter(()))
+    assert plot.plot_source(InfraLidarConfig(source="sim:crossing"), tmp_path / "out.gif", 2, 20.0) == 0
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_flag_of_the_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
