@@ -15,13 +15,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
+from msgspec.structs import replace
 
 from common.bus.status import Report
 from common.config import ConfigError
 from common.geometry import transform_points
 from common.messages import ObjectTrack
 from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.input.source import open_source
+from services.infra_lidar.input.source import open_source, surveyed_pose
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.result import FrameResult
 
@@ -39,11 +40,15 @@ _TRAIL = 30
 def plot_source(config: InfraLidarConfig, output: Path, frames: int, reach_m: float) -> int:
     """Run the pipeline over a source and draw its frames from above; returns the number of frames.
 
+    They are drawn in the service's map frame: with the surveyed pose of the configuration or of the simulation.
     output: ``.png`` (the last frame), ``.mp4`` or ``.gif`` (all frames), anything else is a folder of PNGs.
 
     Raises:
-        ConfigError: output is an MP4 and OpenCV is not installed.
+        ConfigError: there is no such source, no frame of it can be read, or output is an MP4 and OpenCV is not
+            installed.
     """
+    if config.source:  # where there is none, open_source says so; before it a missing model is named
+        config = replace(config, T_map_sensor=surveyed_pose(config))
     pipeline, trails = InfraLidarPipeline(config), Trails()
     source = islice(open_source(config, Report("plot")), frames)
     results = (pipeline.process(stamp_ns, frame.returns, frame.quality) for stamp_ns, frame in source)

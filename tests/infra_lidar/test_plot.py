@@ -15,6 +15,8 @@ from common.messages import ObjectTrack
 from services.infra_lidar import plot
 from services.infra_lidar.__main__ import main
 from services.infra_lidar.config import InfraLidarConfig
+from services.infra_lidar.input.source import surveyed_pose
+from services.infra_lidar.result import FrameResult
 from services.infra_lidar.warm_up import made_up_revolution
 
 
@@ -85,6 +87,20 @@ def test_a_gif_of_nothing_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(plot, "open_source", lambda config, report: iter(()))
     assert plot.plot_source(InfraLidarConfig(source="sim:crossing"), tmp_path / "out.gif", 2, 20.0) == 0
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_simulated_sensor_stands_where_it_does_in_the_service(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, centres = InfraLidarConfig(source="sim:crossing?columns=300"), []
+
+    def drawn(result: FrameResult, trails: list[np.ndarray], reach_m: float) -> np.ndarray:
+        centres.append(result.T_map_sensor[:3, 3])
+        return np.zeros((4, 4, 3), np.uint8)
+
+    monkeypatch.setattr(plot, "draw", drawn)
+    plot.plot_source(config, tmp_path / "out.png", frames=1, reach_m=20.0)
+    np.testing.assert_allclose(centres, [np.reshape(surveyed_pose(config), (4, 4))[:3, 3]], atol=1e-6)
 
 
 def test_the_flag_of_the_command_line(
