@@ -94,8 +94,10 @@ def calibration_text(calibration: Calibration) -> str:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Raises ``ValueError`` or ``KeyError`` when it is no calibration."""
+    """Raises ``ValueError``, ``KeyError`` or ``TypeError`` when it is no calibration."""
     document = json.loads(path.read_text(encoding="utf-8"))
+    if not isinstance(document, dict):
+        raise ValueError(f"expected a JSON object, found {type(document).__name__}")
     T = np.array(document.pop("T_level_sensor"), float)
     if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6):
         raise ValueError("T_level_sensor is no rigid transform")
