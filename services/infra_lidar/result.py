@@ -150,8 +150,9 @@ class FrameResult:
         )
 
     def points_message(self, limit: int) -> PointCloud:
-        """Every n-th return in the map frame, at most ``limit`` of them."""
-        (thin,) = np.nonzero(self.points[:, :3].any(axis=1))
+        """Every n-th return in the map frame, at most ``limit`` of them; rows of zeros or not finite are none."""
+        xyz = self.points[:, :3]
+        (thin,) = np.nonzero(xyz.any(axis=1) & np.isfinite(xyz).all(axis=1))
         thin = thin[:: max(1, -(-len(thin) // limit))]
         kind = np.where(self.background[thin], BACKGROUND, OTHER)
         kind[self.ground[thin]] = GROUND

@@ -92,6 +92,15 @@ def test_messages_are_readable_by_anybody(scene_frame):
     assert len(cloud["kind"]["data"]) == cloud["points"]["shape"][0]
 
 
+@pytest.mark.parametrize("nothing", [np.nan, np.inf, 0.0])
+def test_rows_that_are_no_returns_are_not_published(nothing):
+    points = made_up_revolution().points.copy()
+    points[::3, :3] = nothing
+    cloud = InfraLidarPipeline(InfraLidarConfig()).process(START_NS, points).points_message(1_000_000)
+    assert np.isfinite(cloud.points).all()
+    assert len(cloud.points) == len(cloud.kind) == len(cloud.intensity) == len(points) - len(points[::3])
+
+
 def test_tracks_are_in_the_surveyed_map_frame():
     pose = surveyed_pose(InfraLidarConfig(source="sim:crossing"))
     pipeline = InfraLidarPipeline(InfraLidarConfig(T_map_sensor=pose))
