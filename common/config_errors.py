@@ -26,7 +26,8 @@ def unknown_key(key: str, value: Any, known: list[str], path: str) -> str:
 def explain(error: msgspec.ValidationError, document: Document, config_type: type[msgspec.Struct]) -> str:
     """msgspec's text and path as ours, with the value that is wrong."""
     text, _, path = str(error).partition(" - at `")
-    text = text[0].lower() + text[1:]
+    if text.partition(" ")[0].isalpha():  # a sentence of msgspec's; our own may begin with a key, such as T_map_sensor
+        text = text[0].lower() + text[1:]
     if path.startswith("key`"):  # a name of the user's choice that may not be used
         table, place = document, [*re.findall(r"[\w.]+", path.rpartition("$")[2].replace(".", " ")), _ANY_NAME]
         return f"[{'.'.join(_named(place, table, config_type, str(error)))}] {text}"

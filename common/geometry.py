@@ -68,6 +68,19 @@ def invert(T_target_source: np.ndarray) -> np.ndarray:
     return transform(rotation, -rotation @ T_target_source[:3, 3])
 
 
+def is_rigid(T: np.ndarray, tolerance: float) -> bool:
+    """Whether a matrix is a (4, 4) rotation and translation: finite, no scale, no mirror, last row 0 0 0 1.
+
+    tolerance: that rows and their products may be off; 0.002 lets a matrix pass that was written with three decimals.
+    """
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        return False
+    rotation = T[:3, :3]
+    orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), rtol=0.0, atol=tolerance)
+    last_row = np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=tolerance)
+    return bool(orthonormal and last_row and np.linalg.det(rotation) > 0.0)
+
+
 def transform_points(T_target_source: np.ndarray, points_m: np.ndarray) -> np.ndarray:
     """(..., 3) points in *source* to the same in *target*."""
     return np.asarray(points_m) @ T_target_source[:3, :3].T + T_target_source[:3, 3]

@@ -8,9 +8,11 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
 from common.config import Section, ServiceConfig
+from common.geometry import is_rigid
 from services.infra_lidar.tracking.config import TrackingConfig
 
 __all__ = ["InfraLidarConfig", "TrackingConfig"]
@@ -19,6 +21,7 @@ Positive = Annotated[float, Meta(gt=0.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Degrees = Annotated[float, Meta(ge=0.0, le=90.0)]
+THREE_DECIMALS = 0.002  # what the products of a rotation's rows are off at the most when it is written with three
 
 
 class CalibrationConfig(Section, frozen=True, kw_only=True):
@@ -140,3 +143,6 @@ class InfraLidarConfig(ServiceConfig, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if self.T_map_sensor and len(self.T_map_sensor) != 16:
             raise ValueError(f"T_map_sensor: expected 16 numbers, got {len(self.T_map_sensor)}")
+        if self.T_map_sensor and not is_rigid(np.reshape(self.T_map_sensor, (4, 4)), THREE_DECIMALS):
+            allowed = "a rotation and a translation: 3 columns at right angles and of length 1, last row 0, 0, 0, 1"
+            raise ValueError(f"T_map_sensor = {list(self.T_map_sensor)}: expected {allowed}")

@@ -46,3 +46,22 @@ def test_rotation_between_takes_one_to_the_other(a: tuple[float, ...], b: tuple[
 @pytest.mark.parametrize("axis", np.eye(3))
 def test_rotation_between_opposites(axis: np.ndarray) -> None:
     assert g.rotation_between(axis, -axis) @ axis == pytest.approx(-axis)
+
+
+@pytest.mark.parametrize(
+    ("T", "rigid"),
+    [
+        (np.eye(4), True),
+        (g.transform(g.rotation_rpy(0.1, -0.4, 2.0), np.array([8.6, -8.0, 5.5])), True),
+        (g.transform(g.rotation_rpy(0.1, -0.4, 2.0).round(3)), True),
+        (g.transform(g.rotation_rpy(0.1, -0.4, 2.0).round(2)), False),
+        (np.ones((4, 4)), False),
+        (np.diag([2.0, 2.0, 2.0, 1.0]), False),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), False),  # a mirror
+        (g.pose_2d(1.0, 2.0, 0.3).T, False),
+        (np.full((4, 4), np.nan), False),
+        (np.eye(3), False),
+    ],
+)
+def test_a_rigid_transform_is_a_rotation_and_a_translation(T: np.ndarray, rigid: bool) -> None:
+    assert g.is_rigid(T, 0.002) == rigid

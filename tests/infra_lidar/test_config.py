@@ -46,3 +46,30 @@ def test_a_refusal_names_the_key_its_value_and_what_is_allowed(setting, says):
     with pytest.raises(ConfigError) as told:
         load(InfraLidarConfig, None, [setting])
     assert says in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        [1.0] * 16,
+        [2.0, 0.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0],  # scaled
+        [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0],  # mirrored
+        [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 5.0, 6.0, 7.0, 1.0],  # column by column
+        [1.0, 0.0, 0.0, float("inf"), 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+    ],
+)
+def test_a_pose_that_is_no_rotation_and_translation_is_refused(pose):
+    with pytest.raises(ConfigError) as told:
+        load(InfraLidarConfig, None, [f"T_map_sensor={pose}"])
+    assert f"--set: T_map_sensor = {pose}: expected a rotation and a translation: " in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        (0.707, -0.707, 0, 8.6, 0.707, 0.707, 0, -8, 0, 0, 1, 5.5, 0, 0, 0, 1),  # three decimals will do
+        (1, 0, 0, 400_000.5, 0, 1, 0, 5_600_000.5, 0, 0, 1, 120, 0, 0, 0, 1),
+    ],
+)
+def test_a_surveyed_pose_is_accepted(pose):
+    assert InfraLidarConfig(T_map_sensor=pose).T_map_sensor == pose

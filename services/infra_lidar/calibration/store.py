@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from common.geometry import is_rigid
 from services.infra_lidar.calibration.plane_fit import Calibration
 from services.infra_lidar.segmentation.background import BackgroundModel
 from services.infra_lidar.segmentation.background_kernels import BLOCK
@@ -99,7 +100,7 @@ def read_calibration(path: Path) -> Calibration:
     if not isinstance(document, dict):
         raise ValueError(f"expected a JSON object, found {type(document).__name__}")
     T = np.array(document.pop("T_level_sensor"), float)
-    if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6):
+    if not is_rigid(T, 1e-6):
         raise ValueError("T_level_sensor is no rigid transform")
     if document.get("baseline") is not None:
         document["baseline"] = tuple(float(value) for value in document["baseline"])
