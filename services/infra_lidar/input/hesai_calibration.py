@@ -103,13 +103,22 @@ def _firetimes(text: str) -> tuple[np.ndarray, tuple[int, int]]:
         fine_us = loop_us[[0, 0, 1, 0]] % HALF_SEQUENCE_US  # azimuth states of the High Resolution mode
         return np.concatenate([fine_us, loop_us, loop_us]) * 1e-6, PANDAR128
     if width >= 4 and width % 2 == 0:
-        times_us = np.zeros((STATES[QT128], CHANNELS))
-        for row in rows:
-            for loop in range(min(len(row) // 2, len(times_us))):
-                if 1 <= row[2 * loop] <= CHANNELS:  # 0: nothing fires here
-                    times_us[loop, int(row[2 * loop]) - 1] = row[2 * loop + 1]
-        return times_us * 1e-6, QT128
+        return _by_loop(rows) * 1e-6, QT128
     raise CalibrationError(f"firing times: expected 3, 4 or 17 columns, found {width}")
+
+
+def _by_loop(rows: list[list[float]]) -> np.ndarray:
+    """(2, 128) us of each channel in both loops, from rows of channel and time side by side for each loop."""
+    times_us, named = np.zeros((STATES[QT128], CHANNELS)), set()
+    for row in rows:
+        for loop in range(min(len(row) // 2, len(times_us))):
+            if 1 <= row[2 * loop] <= CHANNELS:  # 0: nothing fires here
+                channel = int(row[2 * loop]) - 1
+                times_us[loop, channel] = row[2 * loop + 1]
+                named.add(channel)
+    if len(named) != CHANNELS:
+        raise CalibrationError(f"firing times: expected a time for each of 128 channels, found {len(named)}")
+    return times_us
 
 
 def _rows(text: str, least: int) -> list[list[float]]:

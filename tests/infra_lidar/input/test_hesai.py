@@ -241,6 +241,8 @@ FILES = [
     ("".join(f"{k + 1},1.0,0\n" for k in range(128)), "", "a different elevation"),
     (ANGLES, ANGLES, "0 to 200 us"),
     (ANGLES, "1,2\n3,4\n", "3, 4 or 17 columns, found 0"),
+    (ANGLES, "\n".join(QT128_FIRETIMES.splitlines()[:8]), "128 channels, found 5"),
+    (ANGLES, QT128_FIRETIMES.replace("\n127,", "\n126,").replace(",127,", ",126,"), "128 channels, found 127"),
     (ANGLES, "\n".join(OT128_FIRETIMES.splitlines()[:100]), "128 channels, found 99"),
 ]
 
