@@ -28,8 +28,8 @@ import numpy as np
 
 from services.infra_lidar.input.hesai_calibration import (
     CHANNELS,
-    PANDAR128,
-    QT128,
+    PANDAR128_PROTOCOL,
+    QT128_PROTOCOL,
     HesaiCalibration,
     read_metadata,
 )
@@ -45,7 +45,7 @@ SAFETY_BYTES, TAIL_BYTES, SEQUENCE_BYTES, IMU_BYTES, CHECK_BYTES, SIGNATURE_BYTE
 SEQUENCE, IMU, SAFETY, SIGNATURE = 1, 2, 4, 8  # flags
 SELECTED_CHANNELS = 64  # of a QT128: its blocks hold channels of a table that is not in the packet; not read
 HIGH_RESOLUTION = 0  # operational state of the E3X and OT128
-BLOCK_US = {PANDAR128: 55.556, QT128: 111.11}
+BLOCK_US = {PANDAR128_PROTOCOL: 55.556, QT128_PROTOCOL: 111.11}
 MAX_RPM = 3000
 MAX_UNIT_MM = 8
 PERIOD, FARTHEST = 1 << 32, 1_000_000  # of a sequence number, or of microseconds of the minute where it is off
@@ -77,7 +77,7 @@ class HesaiLayout(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _layout(major: int, minor: int, flags: int, length: int) -> HesaiLayout | None:
-    if (major, minor) not in BLOCK_US or ((major, minor) == QT128 and flags & SELECTED_CHANNELS):
+    if (major, minor) not in BLOCK_US or ((major, minor) == QT128_PROTOCOL and flags & SELECTED_CHANNELS):
         return None
     for unit in (3, 4):
         safety_at = BODY_AT + BLOCKS * (2 + CHANNELS * unit) + CHECK_BYTES
@@ -117,14 +117,14 @@ def head(packet: bytes) -> PacketHead | None:
     if layout.sequence_at:
         return PacketHead(first / 100.0, last / 100.0, _U32.unpack_from(packet, layout.sequence_at)[0], 1.0)
     block_us = BLOCK_US[packet[2], packet[3]]
-    if layout.version == PANDAR128[0] and operation == HIGH_RESOLUTION:
+    if layout.version == PANDAR128_PROTOCOL[0] and operation == HIGH_RESOLUTION:
         block_us /= 2.0
     return PacketHead(first / 100.0, last / 100.0, second * 1_000_000 + microsecond, block_us * (1.0 if dual else 2.0))
 
 
 def silent_packet() -> bytes:
     """A packet of protocol 1.4 without a return, for a kernel to be compiled with."""
-    header = _START + bytes([*PANDAR128, 0, 0, CHANNELS, BLOCKS, 0, 4, 1, 0])
+    header = _START + bytes([*PANDAR128_PROTOCOL, 0, 0, CHANNELS, BLOCKS, 0, 4, 1, 0])
     return header.ljust(BODY_AT + BLOCKS * (2 + 3 * CHANNELS) + CHECK_BYTES + TAIL_BYTES + CHECK_BYTES, b"\0")
 
 
@@ -156,7 +156,7 @@ class _Hesai:
         range_m, intensity = np.empty((n, CHANNELS), np.float32), np.empty((n, CHANNELS), np.uint8)
         cos, sin, bank = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.uint8)
         layout = layout_of(raw[0].tobytes()) if n else None
-        version = layout.version if layout else PANDAR128[0]
+        version = layout.version if layout else PANDAR128_PROTOCOL[0]
         m, rpm = 0, 0
         if layout is not None:
             rpm = int(np.median(raw[:, layout.tail_at + 13] + 256 * raw[:, layout.tail_at + 14].astype(np.int64)))
@@ -175,7 +175,7 @@ class _Hesai:
 
 
 def _beams(calibration: HesaiCalibration, version: int, rpm: int) -> np.ndarray:
-    firetime_s = calibration.firetimes_for(PANDAR128 if version == PANDAR128[0] else QT128)
+    firetime_s = calibration.firetimes_for(PANDAR128_PROTOCOL if version == PANDAR128_PROTOCOL[0] else QT128_PROTOCOL)
     turned = np.radians(calibration.azimuth_deg + firetime_s * rpm * 6.0)
     elevation = np.broadcast_to(np.radians(calibration.elevation_deg), turned.shape)
     ring = np.broadcast_to(np.argsort(np.argsort(calibration.elevation_deg, kind="stable")), turned.shape)

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 CHANNELS = 128
-PANDAR128, QT128 = (1, 4), (3, 2)  # versions of the UDP protocol
-STATES = {PANDAR128: 8, QT128: 2}  # firing orders: four, two and two azimuth states; two loops
+PANDAR128_PROTOCOL, QT128_PROTOCOL = (1, 4), (3, 2)  # versions of the UDP protocol
+STATES = {PANDAR128_PROTOCOL: 8, QT128_PROTOCOL: 2}  # firing orders: four, two and two azimuth states; two loops
 HALF_SEQUENCE_US = 27.778
 MAX_FIRETIME_S = 200e-6
 
@@ -97,19 +97,20 @@ def _firetimes(text: str) -> tuple[np.ndarray, tuple[int, int]]:
     width = max((len(row) for row in rows), default=0)
     if width >= 17:
         table = _channels([row for row in rows if len(row) >= 17], "firing times")
-        return np.where(table[:, 1:17:2] == -1.0, 0.0, table[:, 1:17:2]).T * 1e-9, PANDAR128  # -1: does not fire
+        far_ns = np.where(table[:, 1:17:2] == -1.0, 0.0, table[:, 1:17:2])  # -1: does not fire
+        return far_ns.T * 1e-9, PANDAR128_PROTOCOL
     if width == 3:
         loop_us = _channels(rows, "firing times")[:, 1:].T
         fine_us = loop_us[[0, 0, 1, 0]] % HALF_SEQUENCE_US  # azimuth states of the High Resolution mode
-        return np.concatenate([fine_us, loop_us, loop_us]) * 1e-6, PANDAR128
+        return np.concatenate([fine_us, loop_us, loop_us]) * 1e-6, PANDAR128_PROTOCOL
     if width >= 4 and width % 2 == 0:
-        return _by_loop(rows) * 1e-6, QT128
+        return _by_loop(rows) * 1e-6, QT128_PROTOCOL
     raise CalibrationError(f"firing times: expected 3, 4 or 17 columns, found {width}")
 
 
 def _by_loop(rows: list[list[float]]) -> np.ndarray:
     """(2, 128) us of each channel in both loops, from rows of channel and time side by side for each loop."""
-    times_us, named = np.zeros((STATES[QT128], CHANNELS)), set()
+    times_us, named = np.zeros((STATES[QT128_PROTOCOL], CHANNELS)), set()
     for row in rows:
         for loop in range(min(len(row) // 2, len(times_us))):
             if 1 <= row[2 * loop] <= CHANNELS:  # 0: nothing fires here
