@@ -13,13 +13,10 @@ from msgspec import Meta
 
 from common.config import Section, ServiceConfig
 from common.geometry import is_rigid
-from services.infra_lidar.tracking.config import TrackingConfig
+from services.infra_lidar.tracking.config import NotNegative, Positive, Share, TrackingConfig
 
 __all__ = ["InfraLidarConfig", "TrackingConfig"]
 
-Positive = Annotated[float, Meta(gt=0.0)]
-NotNegative = Annotated[float, Meta(ge=0.0)]
-Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Degrees = Annotated[float, Meta(ge=0.0, le=90.0)]
 THREE_DECIMALS = 0.002  # what the products of a rotation's rows are off at the most when it is written with three
 
