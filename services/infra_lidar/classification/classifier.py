@@ -13,14 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from services.infra_lidar.classification.classes import CLASSES, LABELS, UNKNOWN, VEHICLES
+from services.infra_lidar.classification.classes import CLASSES, UNKNOWN, VEHICLES
 from services.infra_lidar.classification.feature_kernels import FEATURE_NAMES
 from services.infra_lidar.classification.features import compute_features
 from services.infra_lidar.classification.forest import Forest, ModelError, load_forest
 from services.infra_lidar.clustering.clustering import ClusterPoints
 from services.infra_lidar.config import ClassifierConfig
-
-__all__ = ["CLASSES", "LABELS", "SHIPPED_MODEL", "UNKNOWN", "Classification", "Classifier"]
 
 SHIPPED_MODEL = Path(__file__).with_name("forest.npz")
 

@@ -14,7 +14,7 @@ SERIES = np.array([1.0 / odd for odd in (13, 11, 9, 7, 5, 3, 1)], np.float32)  #
 
 
 class CellScale(NamedTuple):
-    """What kernels need of a ``CellGrid``: side int, per_m and growth_per_m float32."""
+    """What kernels need of a ``CellGrid``: side, per_m = 1 / c in 1/m, growth_per_m = 1 / g in 1/m or 0."""
 
     side: int
     per_m: np.float32
@@ -27,15 +27,14 @@ class CellGrid:
     Radii are compressed by f(r) = g / c * ln(1 + r / g), so that a cell measures c near the sensor and c (1 + r / g)
     along the ray at range r. g = 0: plain squares of c.
 
-    cell_m: c. per_m: float32, 1 / c. growth_per_m: float32, 1 / g, or 0. scale: the same for kernels.
+    side: number of cells. scale: what kernels need.
     """
 
     def __init__(self, config: ClusteringConfig, range_max_m: float) -> None:
         c, g = config.cell_m, config.cell_growth_m
         reach = range_max_m / c if g == 0 else g / c * np.log1p(range_max_m / g)
-        self.cell_m, self.side = c, 2 * int(np.ceil(reach)) + 2
-        self.per_m, self.growth_per_m = np.float32(1.0 / c), np.float32(1.0 / g if g > 0 else 0.0)
-        self.scale = CellScale(self.side, self.per_m, self.growth_per_m)
+        self.side = 2 * int(np.ceil(reach)) + 2
+        self.scale = CellScale(self.side, np.float32(1.0 / c), np.float32(1.0 / g if g > 0 else 0.0))
 
 
 @kernel

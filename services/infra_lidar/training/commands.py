@@ -70,14 +70,11 @@ def evaluate(
     setup_logging("infra_lidar")
     _needs_train()
     from services.infra_lidar.classification.features import FROM_RANGE
-    from services.infra_lidar.classification.forest import ModelError, load_forest
+    from services.infra_lidar.classification.forest import load_forest
     from services.infra_lidar.training import evaluate as evaluation
     from services.infra_lidar.training.train import test_set
 
-    try:
-        forest = load_forest(model)
-    except ModelError as error:
-        raise ConfigError(str(error)) from None
+    forest = load_forest(model)
     test = test_set(folder, scenes, TEST_SEED)
     if folder and (ranged := sorted(set(forest.features) & set(FROM_RANGE))):
         _say(f"the model needs {', '.join(ranged)}, which centred clusters do not have: the figures are too low")
