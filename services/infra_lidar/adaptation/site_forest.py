@@ -6,11 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.ensemble import RandomForestClassifier
-from sklearn.model_selection import GroupKFold
 
 from services.infra_lidar.adaptation.labels import SiteLabels
 from services.infra_lidar.adaptation.recorder import SiteRecord
-from services.infra_lidar.classification.classes import CLASSES
 from services.infra_lidar.classification.feature_kernels import FEATURE_NAMES
 from services.infra_lidar.classification.features import FEATURE_SETS, compute_features
 from services.infra_lidar.classification.forest import Forest
@@ -23,6 +21,7 @@ from services.infra_lidar.training.train import (
     expected_weight,
     flatten,
     generated_set,
+    out_of_group_shares,
 )
 
 FEATURES = FEATURE_NAMES  # of every example: whatever the forest in use asks for
@@ -76,10 +75,7 @@ def grow(examples: Examples, story: dict[str, Any]) -> Forest:
         )
         return model.fit(x[rows], examples.labels[rows], examples.weight[rows])
 
-    shares = np.zeros((len(x), len(CLASSES)))
-    for inside, outside in GroupKFold(FOLDS).split(x, groups=examples.groups):
-        model = fit(inside)
-        shares[np.ix_(outside, model.classes_)] = model.predict_proba(x[outside])
+    shares = out_of_group_shares(fit, x, examples.groups, FOLDS)
     expected = expected_weight(examples.labels, examples.weight, BACKGROUND_WEIGHT)
     curve_x, curve_y = calibrate(shares, examples.labels, expected)
     return flatten(fit(np.arange(len(x))), _GROWN, curve_x, curve_y, story)

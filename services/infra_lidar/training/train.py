@@ -102,7 +102,7 @@ def train_forest(
         )  # fmt: skip
         return model.fit(x[rows], clusters.labels[rows], None if weight is None else weight[rows])
 
-    held_out = out_of_group_shares(fit, x, clusters)
+    held_out = out_of_group_shares(fit, x, clusters.groups)
     expected = expected_weight(clusters.labels, weight, settings.background)
     curve_x, curve_y = calibrate(held_out, clusters.labels, expected)
     if tell is not None:
@@ -114,13 +114,19 @@ def train_forest(
     return flatten(fit(np.arange(len(x))), names, curve_x, curve_y, {**provenance, **made})
 
 
-def out_of_group_shares(fit: Any, x: np.ndarray, clusters: LabelledClusters, folds: int = 4) -> np.ndarray:
-    """(K, C) class shares of every cluster by a forest that saw nothing of its group."""
+def out_of_group_shares(fit: Any, x: np.ndarray, groups: np.ndarray, folds: int = 4) -> np.ndarray:
+    """(K, C) class shares of every cluster by a forest that saw nothing of its group.
+
+    fit: makes a fitted scikit-learn forest of the rows whose numbers it gets. x: (K, F). groups: (K,).
+
+    Raises:
+        ValueError: all clusters are of one group.
+    """
     shares = np.zeros((len(x), len(CLASSES)))
-    folds = min(folds, len(np.unique(clusters.groups)))
+    folds = min(folds, len(np.unique(groups)))
     if folds < 2:
         raise ValueError("training needs clusters of at least two groups")
-    for inside, outside in GroupKFold(folds).split(x, groups=clusters.groups):
+    for inside, outside in GroupKFold(folds).split(x, groups=groups):
         model = fit(inside)
         shares[np.ix_(outside, model.classes_)] = model.predict_proba(x[outside])
     return shares

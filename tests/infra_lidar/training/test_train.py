@@ -79,7 +79,6 @@ def test_a_small_forest_learns_the_generated_bodies(clusters: LabelledClusters, 
 def test_held_out_shares_never_come_from_the_same_group(clusters: LabelledClusters) -> None:
     x = np.zeros((len(clusters), 1))
     groups = clusters.groups // 3
-    grouped = LabelledClusters(clusters.points, clusters.offsets, clusters.ground_z_m, clusters.labels, groups)
     seen: list[np.ndarray] = []
 
     class Spy:
@@ -91,7 +90,7 @@ def test_held_out_shares_never_come_from_the_same_group(clusters: LabelledCluste
         def predict_proba(self, rows: np.ndarray) -> np.ndarray:
             return np.full((len(rows), 5), 0.2)
 
-    out_of_group_shares(Spy, x, grouped)
+    out_of_group_shares(Spy, x, groups)
     for inside in seen:
         outside = np.setdiff1d(np.arange(len(x)), inside)
         assert not set(groups[inside]) & set(groups[outside])
