@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +13,7 @@ from common.config import ConfigError
 from services.infra_lidar.classification.classes import BACKGROUND, CLASSES
 from services.infra_lidar.classification.classifier import Classifier
 from services.infra_lidar.classification.forest import SUFFIX
+from services.infra_lidar.command_line import require_train, say, write_forest
 from services.infra_lidar.config import InfraLidarConfig
 
 if TYPE_CHECKING:
@@ -43,18 +42,14 @@ def adapt(
     if undo:
         _remove(path)
         return
-    if importlib.util.find_spec("sklearn") is None:
-        raise ConfigError('adapt needs the extra `train`: uv pip install -c constraints.txt ".[train]"')
+    require_train()
     check_output(path, SUFFIX)
     outcome = _learn(config, seconds)
     _refuse(outcome.objections)
-    try:
-        outcome.forest.save(path)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror or error}") from None
-    _say(f"accepted: {path}, {path.stat().st_size / 1e3:.0f} kB; undo it with `spotter-infra-lidar adapt --undo`")
+    size = write_forest(outcome.forest, path)
+    say(f"accepted: {path}, {size}; undo it with `spotter-infra-lidar adapt --undo`")
     if config.classifier.site_model != str(path):
-        _say(f'to use it from the next start on: [classifier] site_model = "{path.resolve()}"')
+        say(f'to use it from the next start on: [classifier] site_model = "{path.resolve()}"')
 
 
 def _learn(config: InfraLidarConfig, seconds: float) -> Outcome:
@@ -66,18 +61,18 @@ def _learn(config: InfraLidarConfig, seconds: float) -> Outcome:
         record = record_site(config, seconds)
     except ValueError as error:
         raise ConfigError(f"{config.source}: {error}") from None
-    _say(_seen(record))
+    say(_seen(record))
     _refuse(list(too_few(divide(record)[1])))  # before minutes are spent on growing
     generated = generated_examples(config), unseen_examples(config)
     outcome = learn_site(config, record, Classifier(config.classifier).forest, generated)
-    _say(*_table(outcome))
+    say(*_table(outcome))
     return outcome
 
 
 def _refuse(objections: list[str]) -> None:
     """End with exit code 1 where there is an objection."""
     if objections:
-        _say("refused, nothing is changed:", *(f"  {reason}" for reason in objections))
+        say("refused, nothing is changed:", *(f"  {reason}" for reason in objections))
         raise typer.Exit(1)
 
 
@@ -118,9 +113,4 @@ def _remove(path: Path) -> None:
     if "instead_of" not in load_forest(path).provenance:
         raise ConfigError(f"{path}: was not made by `spotter-infra-lidar adapt`: not removed")
     path.unlink()
-    _say(f"{path} removed: from the next start on the forest before it is used")
-
-
-def _say(*lines: str) -> None:
-    sys.stdout.write("\n".join(lines) + "\n")
-    sys.stdout.flush()
+    say(f"{path} removed: from the next start on the forest before it is used")

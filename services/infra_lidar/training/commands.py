@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import logging
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +12,7 @@ from common.bus.service_app import check_output, setup_logging
 from common.config import ConfigError
 from services.infra_lidar.classification.classifier import SHIPPED_MODEL
 from services.infra_lidar.classification.forest import SUFFIX
+from services.infra_lidar.command_line import require_train, say, write_forest
 from services.infra_lidar.config import InfraLidarConfig
 
 log = logging.getLogger(__name__)
@@ -42,7 +41,7 @@ def train(
 ) -> None:
     """Train a forest from labelled clusters, or from generated scenes, and store it as plain arrays."""
     setup_logging("infra_lidar")
-    _needs_train()
+    require_train()
     from services.infra_lidar.training.train import BACKGROUND_WEIGHT, ForestSettings, train_forest, training_set
 
     check_output(output, SUFFIX)
@@ -51,13 +50,9 @@ def train(
     background = 1.0 if folder else BACKGROUND_WEIGHT
     settings = ForestSettings(trees, max_leaves=leaves, background=background, balanced=bool(folder))
     features = "shape" if folder else "spotter"  # clusters in files are centred: they have no distance to the sensor
-    forest = train_forest(clusters, features, story, settings, tell=_say, weight=weight)
-    try:
-        forest.save(output)
-    except OSError as error:
-        raise ConfigError(f"--output {output}: cannot be written: {error.strerror or error}") from None
-    size_kb = output.stat().st_size / 1e3
-    _say(f"{output}: {trees} trees, {len(forest.feature)} nodes, {size_kb:.0f} kB, {forest.digest[:12]}")
+    forest = train_forest(clusters, features, story, settings, tell=say, weight=weight)
+    size = write_forest(forest, output)
+    say(f"{output}: {trees} trees, {len(forest.feature)} nodes, {size}, {forest.digest[:12]}")
 
 
 def evaluate(
@@ -68,7 +63,7 @@ def evaluate(
 ) -> None:
     """Per-class table, confusion matrix and confidence, on groups not trained on."""
     setup_logging("infra_lidar")
-    _needs_train()
+    require_train()
     from services.infra_lidar.classification.features import FROM_RANGE
     from services.infra_lidar.classification.forest import load_forest
     from services.infra_lidar.training import evaluate as evaluation
@@ -77,15 +72,15 @@ def evaluate(
     forest = load_forest(model)
     test = test_set(folder, scenes, TEST_SEED)
     if folder and (ranged := sorted(set(forest.features) & set(FROM_RANGE))):
-        _say(f"the model needs {', '.join(ranged)}, which centred clusters do not have: the figures are too low")
+        say(f"the model needs {', '.join(ranged)}, which centred clusters do not have: the figures are too low")
     result = evaluation.evaluate_forest(forest, test)
-    _say(evaluation.class_table(result), "", evaluation.confusion_table(result))
+    say(evaluation.class_table(result), "", evaluation.confusion_table(result))
     if output:
         from services.infra_lidar.training import evaluate_plots
 
         evaluate_plots.draw_confusion(result, output / "confusion.png")
         evaluate_plots.draw_confidence(result, output / "confidence.png")
-        _say(f"pictures in {output}")
+        say(f"pictures in {output}")
 
 
 def plot(
@@ -106,17 +101,4 @@ def plot(
         count = plot_source(config, output, frames, reach)
         if count == 0:
             raise ConfigError(f"source {config.source}: not one frame came; {output} is not drawn")
-        _say(f"{output}: {'the last of ' if output.suffix == '.png' else ''}{count} frames")
-
-
-def _needs_train() -> None:
-    if importlib.util.find_spec("sklearn") is None:
-        raise ConfigError(
-            "training and evaluating need the extra `train`, which is not installed: "
-            'uv pip install -c constraints.txt ".[train]"'
-        )
-
-
-def _say(*lines: str) -> None:
-    sys.stdout.write("\n".join(lines) + "\n")
-    sys.stdout.flush()
+        say(f"{output}: {'the last of ' if output.suffix == '.png' else ''}{count} frames")

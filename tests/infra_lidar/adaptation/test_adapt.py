@@ -112,6 +112,12 @@ def test_where_it_cannot_be_written_is_said_before_the_recording(name, says, tmp
     assert says in str(refused.exception)
 
 
+def test_without_the_extra_it_says_what_to_install(monkeypatch, tmp_path):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    refused = CliRunner().invoke(app, ["--source", "file:x", "adapt", "-o", str(tmp_path / "site.npz")])
+    assert "train, evaluate and adapt need the extra `train`, which is not installed: uv" in str(refused.exception)
+
+
 @pytest.mark.slow
 def test_on_a_real_motorway_trees_and_barriers_are_clutter_and_cars_in_their_lanes_are_not(recording):
     pictures = sorted(recording("roadside-lidar80").glob("frame_*.npz"))

@@ -14,6 +14,9 @@ from typer.testing import CliRunner
 pytest.importorskip("sklearn", reason="needs the train extra")
 
 from common.config import ConfigError
+from services.infra_lidar.classification.classifier import SHIPPED_MODEL
+from services.infra_lidar.classification.forest import load_forest
+from services.infra_lidar.command_line import write_forest
 from services.infra_lidar.training import commands
 from services.infra_lidar.training.clusters import LabelledClusters
 from services.infra_lidar.training.folders import expect_classes, read_part
@@ -170,6 +173,13 @@ def test_the_commands_answer_with_a_sentence(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setitem(sys.modules, "sklearn", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert "need the extra `train`" in run("train", data)
+
+
+def test_a_forest_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "there.npz").mkdir()
+    with pytest.raises(ConfigError, match=r"there\.npz: cannot be written: Is a directory"):
+        write_forest(load_forest(SHIPPED_MODEL), tmp_path / "there.npz")
+    assert [path.name for path in tmp_path.iterdir()] == ["there.npz"]
 
 
 def test_the_table_of_what_was_held_out_by_hand() -> None:
