@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from services.infra_lidar.classification.classes import BACKGROUND, CLASSES, UNKNOWN
+from services.infra_lidar.classification.classifier import likeliest
 from services.infra_lidar.classification.forest import Forest
 
 MIN_USERS = 8  # road users that were held out: with fewer nothing can be said
@@ -43,8 +44,7 @@ class HeldOut(NamedTuple):
 def called(forest: Forest, x: np.ndarray, names: tuple[str, ...], min_confidence: float) -> np.ndarray:
     """(K,) index into ``LABELS`` as the service would call clusters with features (K, F), columns ``names``."""
     probabilities = forest.class_probabilities(x[:, [names.index(name) for name in forest.features]])
-    sure = probabilities.max(axis=1, initial=0.0) >= min_confidence
-    return np.where(sure, probabilities.argmax(axis=1), UNKNOWN)
+    return likeliest(probabilities, min_confidence)[0]
 
 
 def judge(said: np.ndarray, held_out: HeldOut, said_unseen: np.ndarray, unseen: np.ndarray) -> Figures:

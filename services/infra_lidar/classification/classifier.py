@@ -32,6 +32,15 @@ class Classification(NamedTuple):
     probabilities: np.ndarray  # (K, C) float32 over `CLASSES`
 
 
+def likeliest(probabilities: np.ndarray, min_confidence: float) -> tuple[np.ndarray, np.ndarray]:
+    """The label of each cluster (K,), index into `LABELS`, and its confidence (K,), from probabilities (K, C).
+
+    `UNKNOWN` is what no class is likely enough for.
+    """
+    confidence = probabilities.max(axis=1, initial=0.0)
+    return np.where(confidence >= min_confidence, probabilities.argmax(axis=1), UNKNOWN), confidence
+
+
 def without_vehicles(found: Classification, where: np.ndarray) -> Classification:
     """The same, but what is called a vehicle ``where`` (K,) bool none can stand is unknown: no class is likelier."""
     if not where.any():
@@ -83,6 +92,5 @@ class Classifier:
     def classify(self, features: np.ndarray) -> Classification:
         """Classes of K clusters from their features (K, F) float32, columns as in ``feature_names``."""
         probabilities = self.forest.class_probabilities(features)
-        confidence = probabilities.max(axis=1, initial=0.0)
-        labels = np.where(confidence >= self._min_confidence, probabilities.argmax(axis=1), UNKNOWN)
+        labels, confidence = likeliest(probabilities, self._min_confidence)
         return Classification(features, labels, confidence, probabilities)

@@ -79,10 +79,7 @@ class Forest:
 
     def class_probabilities(self, x: np.ndarray) -> np.ndarray:
         """(K, F) features to (K, C) float32 calibrated probabilities, each row sums to 1."""
-        shares = self.shares(x)
-        for c in range(shares.shape[1]):
-            shares[:, c] = np.interp(shares[:, c], self.calibration_x[c], self.calibration_y[c]) + _LEAST
-        return shares / shares.sum(axis=1, keepdims=True)
+        return calibrated(self.shares(x), self.calibration_x, self.calibration_y)
 
     @property
     def digest(self) -> str:
@@ -113,6 +110,17 @@ class Forest:
             part.replace(path)  # never half a model: this may be the one in use
         finally:
             part.unlink(missing_ok=True)
+
+
+def calibrated(shares: np.ndarray, curve_x: np.ndarray, curve_y: np.ndarray) -> np.ndarray:
+    """(K, C) class shares of the trees to probabilities of the same type, each row sums to 1.
+
+    curve_x, curve_y: (C, B) forest share, rising, and measured frequency of each class.
+    """
+    out = np.empty_like(shares)
+    for c in range(shares.shape[1]):
+        out[:, c] = np.interp(shares[:, c], curve_x[c], curve_y[c]) + _LEAST
+    return np.asarray(out / out.sum(axis=1, keepdims=True))
 
 
 @kernel

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from services.infra_lidar.classification.classes import CLASSES
+from services.infra_lidar.classification.forest import calibrated
 from services.infra_lidar.training.clusters import LabelledClusters
 from services.infra_lidar.training.evaluate import judge
 
@@ -22,10 +23,7 @@ def held_out_table(
     (C, B), the calibration. It was fitted to these very shares, so its column is a little too good.
     """
     labels, groups = clusters.labels, clusters.groups
-    columns = [np.interp(shares[:, c], curve_x[c], curve_y[c]) for c in range(len(CLASSES))]
-    calibrated = np.stack(columns, axis=1)
-    calibrated /= np.maximum(calibrated.sum(axis=1, keepdims=True), 1e-9)
-    plain, after = judge(shares, labels), judge(calibrated, labels)
+    plain, after = judge(shares, labels), judge(calibrated(shares, curve_x, curve_y), labels)
     yield f"{'held out':<15}{'clusters':>10}{'groups':>10}{'recall':>10}{'calibrated':>12}"
     for c, name in enumerate(CLASSES):
         if plain.present[c]:
