@@ -36,7 +36,7 @@ ARRAYS = {"intervals_m": np.zeros((1, 4, 128), np.float32), "is_road": np.zeros(
 BACKGROUND = BackgroundModel(
     columns=1, rows=128, background_ratio=0.5, surface=np.zeros((1, 1, 3), np.float32), **ARRAYS
 )
-LEVEL = Calibration(np.eye(4), height_m=4.0, tilt_deg=0.0, error_deg=0.1, residual_m=0.01, road_points=9, frames=1)
+LEVEL = Calibration(np.eye(4), height_m=4.0, tilt_deg=0.0, error_deg=0.1, frames=1)
 
 pytestmark = [pytest.mark.system, pytest.mark.alone]
 BIN = Path(sys.executable).parent

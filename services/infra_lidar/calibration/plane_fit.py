@@ -50,8 +50,6 @@ class Calibration:
     height_m: float
     tilt_deg: float  # of the sensor's z axis against the normal
     error_deg: float
-    residual_m: float  # median distance of the road's points
-    road_points: int
     frames: int
     refused: str = ""
     baseline: tuple[float, float, float] | None = None  # the first check of the road: m, slope x, slope y
@@ -256,8 +254,6 @@ def _calibration(
         height_m=offset,
         tilt_deg=float(np.degrees(np.arccos(np.clip(normal[2], -1.0, 1.0)))),
         error_deg=error_deg,
-        residual_m=float(np.median(np.abs(on_road[:, 2]))) if len(on_road) else 0.0,
-        road_points=len(on_road),
         frames=0,
         refused=refused,
     )
@@ -281,6 +277,5 @@ def _jackknife_deg(on_road: np.ndarray, band_m: float) -> float:
 
 def _refusal(reason: str) -> Calibration:
     return Calibration(
-        T_level_sensor=np.eye(4), height_m=0.0, tilt_deg=0.0, error_deg=90.0, residual_m=0.0, road_points=0, frames=0,
-        refused=reason,
+        T_level_sensor=np.eye(4), height_m=0.0, tilt_deg=0.0, error_deg=90.0, frames=0, refused=reason,
     )  # fmt: skip

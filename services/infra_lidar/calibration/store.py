@@ -20,6 +20,7 @@ from services.infra_lidar.segmentation.background_kernels import BLOCK
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
+NO_LONGER_KEPT = ("residual_m", "road_points")  # stand in the files of earlier versions
 
 
 class Store:
@@ -102,6 +103,8 @@ def read_calibration(path: Path) -> Calibration:
     T = np.array(document.pop("T_level_sensor"), float)
     if not is_rigid(T, 1e-6):
         raise ValueError("T_level_sensor is no rigid transform")
+    for name in NO_LONGER_KEPT:
+        document.pop(name, None)
     if document.get("baseline") is not None:
         document["baseline"] = tuple(float(value) for value in document["baseline"])
     return Calibration(T_level_sensor=T, **document)
