@@ -47,7 +47,7 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
         for k in FRAMES:
             pipeline.process((10 + k) * PERIOD_NS, returns)
     track_two_people(MultiObjectTracker(config.tracking))
-    for kind in KINDS:
+    for kind in kinds_that_may_come(config.source):
         compile_decoder(kind)
     if KEPT:
         with suppress(OSError):  # the disk has become full: the next start compiles what is missing
@@ -55,6 +55,14 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
     watch.lap("warm-up")
     log.info("kernels ready after %.1f s", watch.stage_ms["warm-up"] / 1e3)
     return watch.stage_ms["warm-up"]
+
+
+def kinds_that_may_come(source: str) -> tuple[str, ...]:
+    """Of live packets, all of them without a source. Recordings lose nothing while their first packet waits."""
+    scheme = source.partition(":")[0]
+    if scheme in ("", "ros2"):
+        return tuple(KINDS)
+    return (scheme,) if scheme in KINDS else ()
 
 
 def made_up_revolution() -> RangeImage:

@@ -12,16 +12,18 @@ from services.infra_lidar import jit
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.jit import CACHE, cache_folder, copy_shipped
 from services.infra_lidar.tracking.tracker import MultiObjectTracker
-from services.infra_lidar.warm_up import track_two_people, warm_up
+from services.infra_lidar.warm_up import kinds_that_may_come, track_two_people, warm_up
 
 WHAT_FRAMES_COMPILE = """
 import sys
 from benchmarks.infra_lidar.frames import turns
 from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
+from services.infra_lidar.input.ouster import OusterFormat, decode
+from services.infra_lidar.input.revolution import stack_packets
 from services.infra_lidar.input.velodyne import Vls128Parser
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.warm_up import warm_up
-from tests.infra_lidar.made_packets import revolutions_of
+from tests.infra_lidar.made_packets import metadata, ouster_packet, revolutions_of
 
 def compiled():
     modules = [module for name, module in sys.modules.items() if name.startswith("services.infra_lidar")]
@@ -37,6 +39,8 @@ for k, frame in enumerate(turns(3, objects=12, count=12, columns=600)):
     of_points.process(k * 10**8, frame.points)
     of_ranges.process(k * 10**8, frame.image)
 InfraLidarPipeline(config).process(0, of_packets[0].range_image)
+layout = OusterFormat(metadata())
+decode(layout, stack_packets([ouster_packet(layout, 1, 0)]))
 print(len(before) > 10, *sorted(compiled() - before))
 """
 
@@ -44,6 +48,20 @@ print(len(before) > 10, *sorted(compiled() - before))
 def test_frames_after_the_warm_up_compile_nothing():
     finished = subprocess.run([sys.executable, "-c", WHAT_FRAMES_COMPILE], capture_output=True, text=True, check=False)
     assert finished.stdout.split("\n")[0] == "True", finished
+
+
+@pytest.mark.parametrize(
+    ("source", "kinds"),
+    [
+        ("", {"velodyne", "ouster", "hesai", "robosense"}),
+        ("ros2:/points?type=x", {"velodyne", "ouster", "hesai", "robosense"}),
+        ("ouster://10.0.0.5", {"ouster"}),
+        ("sim:crossing", set()),
+        ("file:a.pcap", set()),
+    ],
+)
+def test_decoders_are_compiled_for_what_may_come_live(source: str, kinds: set[str]):
+    assert set(kinds_that_may_come(source)) == kinds
 
 
 def test_a_second_warm_up_loads_what_the_first_has_compiled():

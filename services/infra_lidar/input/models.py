@@ -56,7 +56,7 @@ KINDS = {
 }
 
 
-SILENT_PACKETS = {  # without a return; not of an Ouster, whose packets depend on its metadata
+SILENT_PACKETS = {  # without a return; an Ouster's depend on its metadata
     "velodyne": bytes(velodyne.PACKET_BYTES),
     "hesai": silent_packet(),
     "robosense": bytes(robosense.PACKET_BYTES),
@@ -65,8 +65,12 @@ SILENT_PACKETS = {  # without a return; not of an Ouster, whose packets depend o
 
 def compile_decoder(kind: str) -> None:
     """Decode a packet without returns, so that live packets need not wait for the compiler."""
-    if kind in SILENT_PACKETS:
-        decode_revolution(stack_packets([SILENT_PACKETS[kind]]), decoder_of(kind, KINDS[kind].to_count))
+    if kind == "ouster":
+        layout = ouster.smallest_format()
+        packet, decoder = bytes(layout.packet_bytes), ouster.decoder(layout)
+    else:
+        packet, decoder = SILENT_PACKETS[kind], decoder_of(kind, KINDS[kind].to_count)
+    decode_revolution(stack_packets([packet]), decoder)
 
 
 def kind_of(model: str) -> str:

@@ -154,6 +154,13 @@ class OusterParser:
         return self.assembler.finish()
 
 
+def smallest_format() -> OusterFormat:
+    """Of a made-up sensor with one beam and one column: to compile the decoder before the real metadata are there."""
+    layout = {"columns_per_frame": 1, "columns_per_packet": 1, "pixels_per_column": 1}
+    angles = {"beam_altitude_angles": [0.0], "beam_azimuth_angles": [0.0]}
+    return OusterFormat(json.dumps({"data_format": layout, "lidar_to_sensor_transform": np.eye(4).tolist(), **angles}))
+
+
 def decoder(layout: OusterFormat) -> PacketDecoder:
     """For the packets of a sensor with this layout."""
     return PacketDecoder(partial(decode, layout), layout.metadata, "ouster")
