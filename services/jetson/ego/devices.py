@@ -140,11 +140,11 @@ class Imu:
         """The yaw rate in rad/s at the chip's own rate. Raises ``OSError``: the chip does not answer."""
         place = f"{self._chip.name} at 0x{self._address:02x} of I2C bus {self._bus_number}"
         try:
-            bus = self._open_bus(self._bus_number, self._address)
-            open_chip(self._chip, bus, time.sleep)
-            while True:
-                yield self._reading(bus)
-                time.sleep(self._chip.sample_s)
+            with closing(self._open_bus(self._bus_number, self._address)) as bus:  # each attempt opens it anew
+                open_chip(self._chip, bus, time.sleep)
+                while True:
+                    yield self._reading(bus)
+                    time.sleep(self._chip.sample_s)
         except OSError as error:
             raise OSError(f"{place}: {error}") from None
 

@@ -15,13 +15,16 @@ RADPS_OF_BNO055 = math.radians(1.0) / 16.0  # per LSB with the unit set to degre
 
 
 class I2c(Protocol):
-    """One device on the bus. Both methods raise ``OSError`` when it does not acknowledge."""
+    """One device on the bus. ``read`` and ``write`` raise ``OSError`` when it does not acknowledge."""
 
     def read(self, register: int, count: int) -> bytes:
         """So many bytes from a register on."""
 
     def write(self, register: int, value: int) -> None:
         """One byte into a register."""
+
+    def close(self) -> None:
+        """Let go of the bus."""
 
 
 class WrongChip(OSError):

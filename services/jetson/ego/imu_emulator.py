@@ -18,6 +18,7 @@ class EmulatedImu:
 
     def __init__(self, name: str, rate: Rate) -> None:
         self.present = True
+        self.closed = 0  # so often the bus was let go
         self._name, self._rate = name, rate
         self._bank = 0
         self._registers: dict[tuple[int, int], int] = {}
@@ -50,6 +51,10 @@ class EmulatedImu:
         if self._bank == 0 and register == {"mpu6050": 0x43, "icm20948": 0x33, "bno055": 0x14}[self._name]:
             return self._gyroscope()[:count]
         return bytes(self._registers.get((self._bank, register + i), 0) for i in range(count))
+
+    def close(self) -> None:
+        """The bus is let go; the chip stays as it was set up."""
+        self.closed += 1
 
     @property
     def _mode(self) -> int:

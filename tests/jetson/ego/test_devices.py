@@ -203,6 +203,17 @@ def test_a_gyroscope_turns_saturates_sticks_and_is_unplugged(watch: Any, until: 
     until(lambda: seen.motion.reason == "", "well again")
 
 
+def test_every_attempt_to_reach_a_gyroscope_lets_go_of_the_bus() -> None:
+    """One left open with each attempt, and after half an hour without the chip no file can be opened any more."""
+    chip = EmulatedImu("mpu6050", lambda: (0.0, 0.0, 20.0))
+    chip.present = False
+    device = Imu(parse_source("imu:mpu6050", SCHEMES), EgoConfig(), lambda bus, address: chip)
+    for attempt in range(1, 4):
+        with pytest.raises(OSError, match="Errno 121"):
+            next(iter(device.readings()))
+        assert chip.closed == attempt
+
+
 class Wheel:
     """Edges of a turning wheel, as they come by the clock."""
 
