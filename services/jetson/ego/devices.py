@@ -129,7 +129,7 @@ class Imu:
         if url.target not in CHIPS:
             raise ConfigError(f"source {url}: no chip {url.target!r}; there are: {', '.join(CHIPS)}")
         self._url, self._config, self._chip = url, config.imu, CHIPS[url.target]
-        self._bus_number = int(url.number("bus", 1))
+        self._bus_number, self._stuck_s = int(url.number("bus", 1)), config.limits.stuck_s
         try:
             self._address = int(url.params.get("address", str(self._chip.address)), 0)
         except ValueError:
@@ -142,17 +142,26 @@ class Imu:
         try:
             with closing(self._open_bus(self._bus_number, self._address)) as bus:  # each attempt opens it anew
                 open_chip(self._chip, bus, time.sleep)
-                while True:
-                    yield self._reading(bus)
-                    time.sleep(self._chip.sample_s)
+                yield from self._rates(bus)
         except OSError as error:
             raise OSError(f"{place}: {error}") from None
 
-    def _reading(self, bus: I2c) -> Measurement | Rejected:
-        raw = self._chip.read(bus)[AXES.index(self._config.axis)]
+    def _rates(self, bus: I2c) -> Readings:
+        """Until the rates about all axes stay the same: a chip that lost its power for a moment answers, asleep."""
+        last, since_s = self._chip.read(bus), monotonic_s()
+        while True:
+            rates, now_s = self._chip.read(bus), monotonic_s()
+            yield self._reading(now_s, rates[AXES.index(self._config.axis)])
+            if rates != last:
+                last, since_s = rates, now_s
+            if now_s - since_s > self._stuck_s:
+                raise OSError(f"the same rates for {now_s - since_s:.1f} s, has it lost its power? Setting it up again")
+            time.sleep(self._chip.sample_s)
+
+    def _reading(self, at_s: float, raw: int) -> Measurement | Rejected:
         if abs(raw) >= self._chip.full_scale:
             return Rejected("imu", "saturated")
-        return Measurement(monotonic_s(), "imu", yaw_rate_radps=self._config.sign * raw * self._chip.radps_per_lsb)
+        return Measurement(at_s, "imu", yaw_rate_radps=self._config.sign * raw * self._chip.radps_per_lsb)
 
 
 class EdgeSource(Protocol):

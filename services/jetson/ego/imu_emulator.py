@@ -22,9 +22,10 @@ class EmulatedImu:
         self._name, self._rate = name, rate
         self._bank = 0
         self._registers: dict[tuple[int, int], int] = {}
-        self._reset()
+        self.lose_power()
 
-    def _reset(self) -> None:
+    def lose_power(self) -> None:
+        """For a moment: everything as it is after switching on."""
         at_reset = {
             "mpu6050": {(0, 0x75): 0x68, (0, 0x6B): 0x40},  # asleep
             "icm20948": {(0, 0x00): 0xEA, (0, 0x06): 0x41, (2, 0x01): 0x01},  # asleep
@@ -39,7 +40,7 @@ class EmulatedImu:
             self._bank = value >> 4 & 3
             return
         if register == {"mpu6050": 0x6B, "icm20948": 0x06}.get(self._name) and self._bank == 0 and value & 0x80:
-            self._reset()
+            self.lose_power()
             return
         if self._name == "bno055" and register == 0x3B and self._mode != 0:
             return

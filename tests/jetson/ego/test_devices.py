@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import pty
 import sys
@@ -18,8 +19,9 @@ import pytest
 from common.bus.status import Report
 from common.clock import monotonic_s
 from common.source_url import parse_source, source_kind
-from services.jetson.ego.config import CanConfig, EgoConfig, EncoderConfig, VescConfig
+from services.jetson.ego.config import CanConfig, EgoConfig, EncoderConfig, LimitsConfig, VescConfig
 from services.jetson.ego.devices import CanBus, Device, Encoder, GpioEdges, Imu, SerialLines, Vesc
+from services.jetson.ego.imu_chips import CHIPS
 from services.jetson.ego.imu_emulator import EmulatedImu
 from services.jetson.ego.line_protocol import Line, line_of
 from services.jetson.ego.pipeline import Motion
@@ -201,6 +203,18 @@ def test_a_gyroscope_turns_saturates_sticks_and_is_unplugged(watch: Any, until: 
     chip.present = True
     rate.update(dps=20.0, noise=0.1)
     until(lambda: seen.motion.reason == "", "well again")
+
+
+@pytest.mark.parametrize("name", CHIPS)
+def test_a_gyroscope_that_lost_its_power_for_a_moment_is_set_up_again(name: str, watch: Any, until: Until) -> None:
+    flip = itertools.cycle((-0.5, 0.5))
+    chip = EmulatedImu(name, lambda: (0.0, 0.0, 20.0 + next(flip)))
+    config = EgoConfig(rate_hz=100.0, limits=LimitsConfig(stuck_s=0.3))
+    seen = watch(Imu(parse_source(f"imu:{name}", SCHEMES), config, lambda bus, address: chip), config)
+    until(lambda: seen.motion.yaw_rate_radps is not None, "yaw rate")
+    chip.lose_power()
+    until(lambda: "the same rates for 0.3 s, has it lost its power?" in seen.motion.reason, "told")
+    until(lambda: seen.motion.yaw_rate_radps == pytest.approx(0.349, abs=0.02), "set up again")
 
 
 def test_every_attempt_to_reach_a_gyroscope_lets_go_of_the_bus() -> None:
