@@ -137,6 +137,11 @@ class Reader:
                 if str(error) != self.lost:
                     log.warning("%s", error)
                 self.lost = str(error)
+            except Exception as error:  # a dead thread would leave "no data yet" for ever
+                reason = f"{self.origin}: cannot be read: {type(error).__name__}: {error}"
+                if reason != self.lost:
+                    log.exception("%s", reason)
+                self.lost = reason
             self._stop.wait(backoff.next_s())
 
 

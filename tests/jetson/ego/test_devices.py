@@ -130,6 +130,16 @@ def test_a_microcontroller_that_comes_late_lies_and_is_pulled(tmp_path: Path, wa
     until(lambda: seen.motion.speed_mps is None, "unknown soon after")
 
 
+def test_a_failure_that_nobody_foresaw_is_told_and_tried_again(watch: Any, until: Until) -> None:
+    """A baud rate that no port has is a ValueError of pyserial, a port that goes while it is set up a termios.error."""
+    with Terminal(lines) as terminal:
+        device = SerialLines(parse_source(f"serial:{terminal.device}?baud=-9600", SCHEMES))
+        seen = watch(device)
+        until(lambda: "serial: cannot be read: ValueError: Not a valid baudrate: -9600" in seen.motion.reason, "told")
+        device._baud = 115200
+        until(lambda: seen.motion.speed_mps is not None, "tried again")
+
+
 def test_a_vesc_is_asked_and_answers(watch: Any, until: Until) -> None:
     config = EgoConfig(rate_hz=100.0, vesc=VescConfig(erpm_per_mps=4600.0, period_s=0.01))
     with Terminal(lambda count: answer(9200 + count % 7, 118)) as terminal:
