@@ -215,3 +215,17 @@ class TestDeviceClock:
         assert clock.restarts == 1
         assert utc == START_NS + 5_000_000
         assert clock.advance(6, START_NS + 8_000_000)[0] == device_ms + 3
+
+    @pytest.mark.parametrize("ahead_s", [0.2, 0.5, 0.9])
+    @pytest.mark.parametrize("over_s", [0.0, 10.0])  # at once, or slewed, as chrony does after the start
+    def test_a_clock_that_is_set_forward_is_followed_within_seconds(self, ahead_s: float, over_s: float) -> None:
+        """By the drift of two crystals alone, scans would be dated half a second back for an hour and a half."""
+        rng, clock, off_ms = np.random.default_rng(3), DeviceClock(), []
+        for ms in range(0, 40_000, 8):
+            share = np.clip((ms / 1e3 - 10.0) / over_s, 0.0, 1.0) if over_s else float(ms >= 10_000)
+            true_ns = START_NS + ms * 1_000_000 + round(share * ahead_s * 1e9)
+            _, utc = clock.advance(ms % 30_000, true_ns + int(rng.exponential(4e6)))
+            off_ms.append((utc - true_ns) / 1e6)
+        assert max(off_ms) < 30.0
+        assert abs(off_ms[-1]) < 60.0
+        assert clock.restarts == 0
