@@ -144,11 +144,15 @@ class Movers:
         if soonest is not None:
             late = soonest[0] >= imminent_s
             level = "IMMINENT" if not late else "CAUTION" if soonest[0] < imminent_s + config.caution_lead_s else "SAFE"
+        hold_ns = round(config.hold_s * 1e9)
         until_ns, held, ahead_m = self._held
+        until_ns = min(until_ns, stamp_ns + hold_ns)  # the clock may have been set back since
         if soonest is not None and (level == "IMMINENT" or (level == "CAUTION" and held != "IMMINENT")):
-            self._held = (stamp_ns + round(config.hold_s * 1e9), level, soonest[1])
+            self._held = (stamp_ns + hold_ns, level, soonest[1])
         elif stamp_ns > until_ns:
             self._held = (0, level, soonest[1] if soonest else ahead_m)
+        else:
+            self._held = (until_ns, held, ahead_m)
         return self._held[1], self._held[2]
 
     def _moves(self, mover: Mover, path: Path) -> bool:

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from common.bus.status import Report
-from common.messages import Motion
+from common.messages import LaserScan, Motion
 from common.path import Path, PathConfig
 from services.jetson.lidar.config import LidarConfig, MountingSection
 from services.jetson.lidar.decoder import ScanDecoder
+from services.jetson.lidar.filters import returns_of
 from services.jetson.lidar.movers import Movers, Thing, reach_m
 from services.jetson.lidar.pipeline import LidarPipeline
 from spotter_sim import ld06
@@ -91,6 +92,19 @@ def test_only_what_leaves_its_place_with_both_ends_moves(what, walks_mps, grows,
     (mover,) = movers._movers
     assert mover.scans == 9
     assert movers._moves(mover, Path(CONFIG.path, motion)) == moves
+
+
+def test_an_alarm_does_not_last_longer_when_the_clock_is_set_back():
+    movers, nothing, motion = Movers(CONFIG), np.zeros(450), Motion(2.0)
+    angles = np.linspace(-np.pi, np.pi, 450, endpoint=False)
+    scan = LaserScan(stamp_ns=0, frame_id="lidar", angles_rad=angles, ranges_m=nothing, confidence=nothing)
+    returns, used = returns_of(scan, CONFIG.mounting), nothing > 0
+    movers.update(START_NS, returns, used, motion)
+    movers._held = (START_NS + 400_000_000, "IMMINENT", 1.0)
+    said = [movers.update(START_NS + k * 100_000_000, returns, used, motion)[0] for k in range(1, 4)]
+    hour_ns = 3600 * 10**9
+    said += [movers.update(START_NS - hour_ns + k * 100_000_000, returns, used, motion)[0] for k in range(8)]
+    assert said == ["IMMINENT"] * 8 + ["SAFE"] * 3
 
 
 def test_a_gap_in_the_scans_forgets_who_was_followed():
