@@ -129,6 +129,8 @@ class ViewMonitor:
         self._slow.update(rate_hz < limit_hz, rate_hz >= enough_hz, self._config.clear_frames, text)
 
     def _judge_frozen(self, stamp_ns: int, difference: float | None) -> None:
+        if self._changed_ns is not None and self._last_ns is not None and stamp_ns < self._last_ns:
+            self._changed_ns -= self._last_ns - stamp_ns  # the clock was set back: how long is kept
         changed = difference is None or difference > self._config.frozen_difference
         if changed or self._changed_ns is None:
             self._changed_ns = stamp_ns

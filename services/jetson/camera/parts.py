@@ -57,6 +57,7 @@ class PartsMonitor:
         self._config = config
         self._detail_ns: np.ndarray | None = None  # (ROWS, COLUMNS) int64: when it last had detail, or changed
         self._change_ns = np.zeros((ROWS, COLUMNS), np.int64)
+        self._last_ns: int | None = None
         self._against = np.zeros(STRIPS, int)  # pictures in a row that speak against what is held
         self._blind = np.zeros(STRIPS, bool)
         self._bands = 0
@@ -85,6 +86,10 @@ class PartsMonitor:
         if self._detail_ns is None:
             self._detail_ns = np.full((ROWS, COLUMNS), stamp_ns, np.int64)
             self._change_ns[:] = stamp_ns
+        back_ns = max(0, (self._last_ns or stamp_ns) - stamp_ns)  # the clock was set back: how long is kept
+        self._last_ns = stamp_ns
+        self._detail_ns -= back_ns
+        self._change_ns -= back_ns
         self._detail_ns[blocks.detailed | _under(boxes)] = stamp_ns
         self._change_ns[~blocks.still] = stamp_ns
         if blocks.still.all():  # frozen as a whole: the whole view is judged for that

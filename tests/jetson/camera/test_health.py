@@ -43,12 +43,12 @@ class Camera:
     def __init__(self) -> None:
         self.monitor = ViewMonitor(CONFIG)
         self._previous: np.ndarray | None = None
-        self._count = 0
+        self._count = self.begin_ns = 0
 
     def shows(self, image: np.ndarray, times: int = 1, noise: float = 2.0) -> ViewState:
         for _ in range(times):
             grey = reduce(noisy(image, self._count, noise) if noise else image)
-            state = self.monitor.update(self._count * PERIOD_NS, measure(grey, self._previous))
+            state = self.monitor.update(self.begin_ns + self._count * PERIOD_NS, measure(grey, self._previous))
             self._previous = grey
             self._count += 1
         return state
@@ -88,6 +88,13 @@ def test_the_limit_of_dark_is_forty(brightness: float, dark: bool) -> None:
     image[::2] = int(brightness + 30)
     state = Camera().shows(image, noise=0)
     assert state.blind is dark
+
+
+def test_a_picture_that_never_changes_is_frozen_although_the_clock_is_set_back(texture: np.ndarray) -> None:
+    camera = Camera()
+    camera.shows(texture, 5, noise=0.0)
+    camera.begin_ns -= 3600 * 10**9
+    assert camera.shows(texture, 20, noise=0.0).reason.startswith("frozen: the same picture for 1.")
 
 
 def test_between_the_limits_a_state_stays(texture: np.ndarray) -> None:

@@ -16,6 +16,7 @@ from services.jetson.camera.pipeline import CameraPipeline
 from services.jetson.camera.source import fitted
 from spotter_sim import camera as simulated
 
+START_NS = 1_800_000_000_000_000_000
 NO_BOXES = np.zeros((0, 4))
 Fault = Callable[[np.ndarray, int], np.ndarray]
 
@@ -55,11 +56,15 @@ def rolling_bands(image: np.ndarray, number: int) -> np.ndarray:
     return noisy(image * np.where(np.sin(2 * np.pi * phase) > 0, 0.5, 1.0)[:, None, None], number)
 
 
-def shown(pictures: Iterator[np.ndarray], period_s: float = 1 / 15, boxes: np.ndarray = NO_BOXES) -> list[Parts]:
+def shown(
+    pictures: Iterator[np.ndarray], period_s: float = 1 / 15, boxes: np.ndarray = NO_BOXES, back_at: int = 10**9
+) -> list[Parts]:
+    """The clock is set back by an hour before picture number ``back_at``."""
     monitor, previous, states = PartsMonitor(HealthConfig()), None, []
     for number, picture in enumerate(pictures):
         grey = reduce(picture)
-        states.append(monitor.update(round(number * period_s * 1e9), grey, previous, boxes, 0.4))
+        stamp_s = number * period_s - 3600.0 * (number >= back_at)
+        states.append(monitor.update(START_NS + round(stamp_s * 1e9), grey, previous, boxes, 0.4))
         previous = grey
     return states
 
@@ -85,6 +90,17 @@ def test_a_part_that_does_not_see_is_told(
     state = shown((fault(texture, number) for number in range(pictures)), period_s)[-1]
     assert reason in state.reason
     assert list(state.sees) == sees or (sees is None and state.blind_ahead)
+
+
+@pytest.mark.parametrize(("fault", "period_s"), [(sticker(1.0), 1.0), (left_half_frozen, 1 / 15)])
+@pytest.mark.parametrize("back_at", [5, 24])
+def test_a_clock_that_is_set_back_hides_no_blind_part(
+    texture: np.ndarray, fault: Fault, period_s: float, back_at: int
+) -> None:
+    """Neither one that is about to be told, nor one that was: it counted as seeing until the hour was over."""
+    states = shown((fault(texture, number) for number in range(34)), period_s, back_at=back_at)
+    assert states[23].blind_ahead
+    assert states[-1].blind_ahead
 
 
 def test_it_clears_when_the_fault_goes(texture: np.ndarray) -> None:
