@@ -111,7 +111,10 @@ class CaptureChild:
             self._read_stderr()
 
     def _read_stderr(self) -> None:
-        text = os.read(self._err, 65536)
+        try:
+            text = os.read(self._err, 65536)
+        except BlockingIOError:  # the child has ended, and what it started keeps its stderr open in silence
+            return
         if not text:
             self._selector.unregister(self._err)
         self._stderr = (self._stderr + text)[-_STDERR_KEPT:]

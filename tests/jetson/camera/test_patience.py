@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import pytest
+
 from services.jetson.camera.capture import QUICK_PICTURES, Patience
+from services.jetson.camera.child import CaptureChild, CaptureLost
 from services.jetson.camera.config import CaptureConfig
 
 
@@ -23,3 +26,10 @@ def test_patience_grows_for_the_slow_and_shrinks_for_the_quick() -> None:
     patience.picture(0.03)
     assert patience.timeout_s == 0.5
     assert not patience.silent()  # many pictures, then silence: it hangs
+
+
+def test_a_child_that_leaves_another_process_behind_has_ended_all_the_same() -> None:
+    """What it started holds its stderr open: the end of the child is told, and not the end of the service."""
+    command = ["sh", "-c", "sleep 2 > /dev/null & exit 3"]
+    with CaptureChild(command, 64, 48) as child, pytest.raises(CaptureLost, match="ended with code 3"):
+        child.read(5.0)
