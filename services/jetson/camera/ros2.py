@@ -53,7 +53,16 @@ def picture_of(message: Any, type_: str) -> np.ndarray:
     Raises:
         PictureError: an encoding that is not read, sizes that contradict each other, or damaged data.
     """
-    return _raw(message) if type_ == RAW else _compressed(message)
+    try:
+        return _raw(message) if type_ == RAW else _compressed(message)
+    except cv2.error as error:  # an odd width in pairs of pixels, or more pixels than OpenCV decodes
+        raise PictureError(f"{_announced(message)}: OpenCV refuses it: {error.err}") from None
+
+
+def _announced(message: Any) -> str:
+    if hasattr(message, "encoding"):
+        return f"{message.width} x {message.height} pixels of encoding {message.encoding!r}"
+    return f"{len(message.data)} bytes of format {message.format!r}"
 
 
 def _raw(message: Any) -> np.ndarray:

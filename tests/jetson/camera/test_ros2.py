@@ -23,6 +23,8 @@ from services.jetson.camera.source import open_source
 
 RED = np.zeros((6, 8, 3), np.uint8)
 RED[..., 2] = 200
+# The head of a PNG that announces 200000 x 200000 pixels, with an empty body.
+HUGE_PNG = bytes.fromhex("89504e470d0a1a0a0000000d4948445200030d4000030d40080200000076591f5d000000004944415435af061e")
 
 
 def image(encoding: str, pixels: np.ndarray, padding: int = 0, **fields: Any) -> Any:
@@ -80,6 +82,12 @@ def test_a_compressed_picture() -> None:
         (image("bgr8", RED, step=10), RAW, "a row of 8 pixels of 3 bytes has 10 bytes"),
         (image("bgr8", RED, height=7), RAW, "7 rows of 24 bytes are announced, 144 bytes follow"),
         (image("bgr8", RED, width=0), RAW, "0 x 6 pixels"),
+        (image("uyvy", RED[:, :7, :2]), RAW, "7 x 6 pixels of encoding 'uyvy': OpenCV refuses it: .*width % 2"),
+        (
+            build(COMPRESSED, format="png", data=list(HUGE_PNG)),
+            COMPRESSED,
+            f"{len(HUGE_PNG)} bytes of format 'png': OpenCV",
+        ),
         (build(COMPRESSED, format="jpeg", data=[1, 2, 3]), COMPRESSED, "3 bytes of format 'jpeg' are no picture"),
         (build(COMPRESSED, format="jpeg"), COMPRESSED, "0 bytes of format"),
         (build(COMPRESSED, format="32FC1; compressedDepth png", data=[1]), COMPRESSED, "is a depth, no picture"),
