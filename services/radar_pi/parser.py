@@ -77,8 +77,12 @@ def frame_type(waveform: WaveformConfig) -> np.dtype:
 
 def check_recorder_frames(frames: np.ndarray, waveform: WaveformConfig) -> None:
     """Raise ``RecordingError`` unless the array is (frames, rx, chirp, sample) unsigned, as its settings say."""
+    if not isinstance(frames, np.ndarray):
+        raise RecordingError("radar.npy: an archive of several arrays, expected one array")
     expected = (len(waveform.rx), waveform.chirps, waveform.samples)
     if frames.dtype.kind != "u" or frames.ndim != 4 or frames.shape[1:] != expected:
         raise RecordingError(
             f"radar.npy: {frames.shape} {frames.dtype}, expected (frames, rx, chirp, sample) = (N, {expected}) unsigned"
         )
+    if len(frames) == 0:
+        raise RecordingError("radar.npy: holds no frame")

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from common.bus.status import Report
 from common.clock import monotonic_s, utc_at, utc_ns
@@ -30,6 +31,8 @@ from spotter_sim.model import DeviceUnplugged
 from spotter_sim.scenario_clock import ScenarioClock
 
 SCHEMES: dict[str, tuple[str, ...]] = {"sim": ("t0",), "file": ("rate", "loop"), "spi": (), "mcap": MCAP_PARAMETERS}
+
+LONGEST_PAUSE_S = 10.0  # between two frames of a file
 
 Frames = Iterator[RadarFrame]
 
@@ -76,18 +79,29 @@ def _recording(url: SourceUrl) -> Recording:
 def _replay(recording: Recording, rate: float, *, loop: bool) -> Frames:
     """Recorded frames as if they came now, ``rate`` times as fast; rate 0 does not wait."""
     period_ns = round(recording.waveform.frame_period_s * 1e9)
-    first_ns = int(recording.stamps_ns[0])
-    length_ns = int(recording.stamps_ns[-1]) - first_ns + period_ns
+    into_ns = _into_recording_ns(recording.stamps_ns, period_ns)
+    length_ns = int(into_ns[-1]) + period_ns
     start_s, turn = monotonic_s(), 0
     while True:
-        for stamp_ns, frame in recording:
-            due_s = start_s + (stamp_ns - first_ns + turn * length_ns) * 1e-9 / (rate or 1.0)
+        for at_ns, (_, frame) in zip(into_ns, recording, strict=True):
+            due_s = start_s + (int(at_ns) + turn * length_ns) * 1e-9 / (rate or 1.0)
             if rate > 0:
                 time.sleep(max(0.0, due_s - monotonic_s()))
             yield RadarFrame(utc_at(due_s), utc_ns(), frame, epoch=turn, note="")
         if not loop:
             return
         turn += 1
+
+
+def _into_recording_ns(stamps_ns: np.ndarray, period_ns: int) -> np.ndarray:
+    """(N,) int64: when each frame is due after the first, for (N,) UTC ns as recorded.
+
+    The clock may have been set in between: a Raspberry Pi without a network starts years ago. So no pause is longer
+    than ``LONGEST_PAUSE_S``, and a frame that goes back in time follows after one period.
+    """
+    steps_ns = np.diff(stamps_ns)
+    steps_ns = np.where(steps_ns < 0, period_ns, np.minimum(steps_ns, round(LONGEST_PAUSE_S * 1e9)))
+    return np.concatenate([[0], np.cumsum(steps_ns)])
 
 
 def _recorded_on_the_bus(url: SourceUrl) -> Frames:

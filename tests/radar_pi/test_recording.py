@@ -123,6 +123,7 @@ def test_the_recorders_folder_is_read(tmp_path: Path) -> None:
         ({"num_samples_per_chirp": 3}, None, "settings"),
         (None, np.zeros((3, 3, 8, 64), np.float32), "unsigned"),
         (None, np.zeros((3, 8, 64), np.uint16), "expected"),
+        (None, np.zeros((0, 3, 8, 64), np.uint16), "holds no frame"),
     ],
 )
 def test_a_folder_that_contradicts_itself_is_refused(
@@ -130,6 +131,14 @@ def test_a_folder_that_contradicts_itself_is_refused(
 ) -> None:
     write_folder(tmp_path / "r", RECORDER_SETTINGS | (settings or {}), samples)
     with pytest.raises(RecordingError, match=expected):
+        open_recording(tmp_path / "r")
+
+
+def test_an_archive_in_place_of_the_array_is_refused(tmp_path: Path) -> None:
+    write_folder(tmp_path / "r")
+    with (tmp_path / "r" / "radar.npy").open("wb") as file:
+        np.savez(file, frames(3, (3, 8, 64)))
+    with pytest.raises(RecordingError, match="an archive of several arrays"):
         open_recording(tmp_path / "r")
 
 

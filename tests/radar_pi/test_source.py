@@ -70,6 +70,20 @@ def test_a_recording_is_played_at_its_pace_with_stamps_of_now(clock: ManualTime,
     assert clock.now_s - start_s == pytest.approx(0.08)
 
 
+@pytest.mark.parametrize(("set_by_s", "expected_s"), [(1.7e9, 10.06), (-1.7e9, 0.08)])
+def test_a_recording_in_which_the_clock_was_set_does_not_stand_still_for_years(
+    clock: ManualTime, tmp_path: Path, set_by_s: float, expected_s: float
+) -> None:
+    with Recorder(tmp_path / "a.radar", WAVEFORM) as recorder:
+        for i in range(5):
+            stamp_ns = 2_000_000_000_000_000_000 + i * 20_000_000 + (round(set_by_s * 1e9) if i > 2 else 0)
+            recorder.write(stamp_ns, 0, np.full((3, 4, 32), i, np.uint16))
+    start_s = clock.now_s
+    played = list(open_source(config(f"file:{tmp_path / 'a.radar'}"), Report("t")))
+    assert clock.now_s - start_s == pytest.approx(expected_s)
+    assert (np.diff([frame.stamp_ns for frame in played]) > 0).all()
+
+
 @pytest.mark.parametrize(("rate", "expected_s"), [("2", 0.04), ("0.5", 0.16), ("0", 0.0)])
 def test_rate_scales_the_pace(clock: ManualTime, recording: Path, rate: str, expected_s: float) -> None:
     start_s = clock.now_s
