@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Annotated
 
@@ -72,13 +72,27 @@ def plot_frames(config: RadarConfig, path: Path, frames: int) -> int:
 def record_frames(config: RadarConfig, path: Path, frames: int) -> int:
     """Write so many frames of the source to a file; returns how many there were.
 
-    What is written stays readable when this is interrupted.
+    What is written stays readable when this is interrupted; an older file of that name is kept until a frame comes.
+
+    Raises:
+        ConfigError: not one frame came, the file cannot be written there, or it is the source itself.
     """
     check_output(path)
+    _check_not_the_source(config.source, path)
     config = with_waveform_of_source(config)
     source, count = open_source(config, Report("record")), 0
+    first = next(source, None)
+    if first is None:
+        raise ConfigError(f"source {config.source}: not one frame came; {path} is not written")
     with Recorder(path, config.waveform) as recorder:
-        for frame in islice(source, frames):
+        for frame in islice(chain([first], source), frames):
             recorder.write(frame.stamp_ns, frame.received_ns, frame.samples)
             count += 1
     return count
+
+
+def _check_not_the_source(source: str, path: Path) -> None:
+    """Opening a file for writing empties it, also the one that is being read."""
+    read = Path(source.partition(":")[2].partition("?")[0])
+    if path.exists() and read.exists() and path.samefile(read):
+        raise ConfigError(f"source {source}: expected another file to record to, {path} is the source itself")

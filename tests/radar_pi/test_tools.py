@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from services.radar_pi import tools
 from services.radar_pi.__main__ import app, main
 from services.radar_pi.config import WaveformConfig
 from services.radar_pi.emulator.signals import simulator_waveform
@@ -49,6 +50,27 @@ def test_record_writes_what_the_source_gave(recording: Path, tmp_path: Path) -> 
     assert result.exit_code == 0, result.output
     assert f"{copy}: 7 frames" in result.output
     assert np.array_equal(open_recording(copy).frames, open_recording(recording).frames[:7])
+
+
+def test_a_recording_is_not_recorded_onto_itself(recording: Path, tmp_path: Path) -> None:
+    before = recording.read_bytes()
+    (tmp_path / "link.radar").symlink_to(recording)
+    for name in ("walk.radar", "link.radar"):
+        arguments = ["--source", f"file:{recording}?rate=0", "record", str(tmp_path / name)]
+        result = CliRunner().invoke(app, arguments)
+        assert result.exit_code == 2
+        assert f"{tmp_path / name} is the source itself" in result.output
+        assert recording.read_bytes() == before
+
+
+def test_an_older_recording_is_kept_while_no_frame_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tools, "open_source", lambda config, report: iter(()))
+    old = tmp_path / "old.radar"
+    old.write_bytes(b"older")
+    result = CliRunner().invoke(app, ["--source", "sim:crossing", "record", str(old)])
+    assert result.exit_code == 2
+    assert "not one frame came" in result.output
+    assert old.read_bytes() == b"older"
 
 
 @pytest.mark.parametrize("flag", ["--plot", "--record"])
