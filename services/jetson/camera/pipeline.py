@@ -21,6 +21,7 @@ from services.jetson.camera.zone import band, cover_of, in_forward_zone, shifted
 log = logging.getLogger(__name__)
 
 MOST_NAMED = 10
+NOT_FINITE = "the network's output holds numbers that are not finite: what is ahead is not known"
 
 
 class CameraPipeline:
@@ -66,7 +67,9 @@ class CameraPipeline:
         # What is in it (a blind camera sees nothing, whatever its network says)
         path = Path(self._config.path, motion) if is_driving(motion, self._config.path) else None
         lens = self._lens(image)
-        detections = [] if view.blind else self._detect(image, lens, path, watch)
+        found = [] if view.blind else self._detect(image, lens, path, watch)
+        blind = view.reason or (NOT_FINITE if found is None else "")
+        detections = found or []
         self._note_repeats(stamp_ns, detections, driving=path is not None)
 
         size = np.array([image.shape[1], image.shape[0]] * 2)
@@ -79,8 +82,8 @@ class CameraPipeline:
         return CameraDetections(
             stamp_ns=stamp_ns,
             frame_id=self._config.frame_id,
-            state="degraded" if view.degraded or parts.reason else "online",
-            reason=view.reason or parts.reason,
+            state="degraded" if view.degraded or blind or parts.reason else "online",
+            reason=blind or parts.reason,
             stage_ms=watch.stage_ms,
             detections=detections,
             brightness=measures.brightness,
@@ -88,7 +91,7 @@ class CameraPipeline:
             image_size_px=(image.shape[1], image.shape[0]),
             provider=self._detector.provider,
             motion=motion,
-            cover=cover_of(self._config, lens, view.reason or (parts.reason if parts.blind_ahead else "")),
+            cover=cover_of(self._config, lens, blind or (parts.reason if parts.blind_ahead else "")),
             strips_see=(False,) * len(parts.sees) if view.blind else parts.sees,
         )
 
@@ -105,7 +108,8 @@ class CameraPipeline:
 
     def _detect(
         self, image: np.ndarray, lens: LensConfig, path: Path | None, watch: Stopwatch
-    ) -> list[CameraDetection]:
+    ) -> list[CameraDetection] | None:
+        """None: the network has failed on this picture, and says nothing about it."""
         # Picture to network input: letterboxed, RGB, 0..1
         blob, fit = self._detector.preprocess(image)
         watch.lap("preprocess")
@@ -113,6 +117,8 @@ class CameraPipeline:
         # The network
         output = self._detector.infer(blob)
         watch.lap("inference")
+        if not np.isfinite(output).all():
+            return None
 
         # Its output to boxes in picture pixels, one per object
         boxes = self._detector.postprocess(output, fit, image.shape)

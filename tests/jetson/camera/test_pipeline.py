@@ -7,7 +7,8 @@ import pytest
 
 from common.codec import decode, encode
 from common.messages import LEVELS, CameraDetections, Level
-from services.jetson.camera.config import CameraConfig
+from services.jetson.camera.config import CameraConfig, DetectorConfig
+from services.jetson.camera.detector import Detector
 from services.jetson.camera.pipeline import CameraPipeline
 from services.jetson.camera.source import fitted
 from spotter_sim import camera as simulated
@@ -44,6 +45,28 @@ def test_the_crossing_is_seen_as_it_is(pipeline: CameraPipeline) -> None:
             too_high.append((t_s, seen.level))
     assert len(too_low) <= 1, too_low
     assert not too_high
+
+
+class NumbersLost(Detector):
+    """A network that has gone wrong: half precision that overflows, or broken memory."""
+
+    lost = np.nan
+
+    def infer(self, blob: np.ndarray) -> np.ndarray:
+        output = super().infer(blob)
+        output[..., 0] = self.lost
+        return output
+
+
+@pytest.mark.parametrize("lost", [np.nan, np.inf])
+def test_a_network_that_gives_no_numbers_has_not_seen_a_free_way(lost: float) -> None:
+    detector = NumbersLost(DetectorConfig())
+    detector.lost = lost
+    (seen,) = run(CameraPipeline(CameraConfig(), detector), "crossing", np.array([5.75]))
+    assert (seen.state, seen.detections, seen.level) == ("degraded", [], None)
+    assert "not finite" in seen.reason
+    assert seen.cover is not None
+    assert seen.cover.far_m == [0.0]
 
 
 @pytest.mark.parametrize(("label", "t_s", "level"), [("person", 5.75, "IMMINENT"), ("car", 12.5, "CAUTION")])
