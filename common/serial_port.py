@@ -6,12 +6,18 @@ import errno
 import os
 import termios
 
+PORT_ERRORS = (OSError, termios.error)
+"""Of a serial port. Pyserial's own are ``OSError``; ``termios.error`` is of one that is lost while it is set up."""
+
 
 def explain(port: str, error: Exception, was_open: bool) -> str:
     """The reason for an error of opening or reading ``port``; ``was_open`` = it has worked before."""
     number = getattr(error, "errno", None)
-    if number is None and isinstance(error.__context__, termios.error):  # pyserial keeps only its text
-        number = error.__context__.args[0]
+    cause = (
+        error if isinstance(error, termios.error) else error.__context__
+    )  # of its cause pyserial keeps the text only
+    if number is None and isinstance(cause, termios.error):
+        number = cause.args[0]
     if number == errno.ENOENT and was_open:
         return f"{port} is gone: unplugged? Waiting for it to come back"
     if number == errno.ENOENT:

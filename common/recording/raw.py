@@ -2,6 +2,7 @@
 
 At ``rate=1`` all stamps move by one and the same time, so that they are those of now; ``rate=0`` does not wait and
 keeps the stamps as recorded. Either way the results are those of the recording, if it begins with the first piece.
+Where the clock was set while it was recorded, the pieces are played as if it had not been.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from common.source_url import SourceUrl
 from common.topics import Topic
 
 MCAP_PARAMETERS = ("rate", "loop", "host")
-PERIOD_NS = 100_000_000  # between the last piece and the first one of the next turn
+PERIOD_NS = 100_000_000  # between the last piece and the first one of the next turn, and where the clock was set
+FARTHEST_NS, FARTHEST_BACK_NS = 3600 * 10**9, 10**9  # from one piece to the next; a longer step is of the clock
 
 
 def replayed(url: SourceUrl, topic: Topic, wait: Callable[[float], object] = time.sleep) -> Iterator[RawBytes]:
@@ -31,12 +33,13 @@ def replayed(url: SourceUrl, topic: Topic, wait: Callable[[float], object] = tim
         ConfigError: no such file, not a recording, damaged, or one without raw bytes of this service.
     """
     rate = url.number("rate", 1.0)
-    start_s, start_ns, played_ns = monotonic_s(), utc_ns(), 0
+    start_s, start_ns, into_ns = monotonic_s(), utc_ns(), -PERIOD_NS
     while True:
-        first_ns: int | None = None
+        last_ns: int | None = None
         for piece in pieces(url, topic):
-            first_ns = piece.stamp_ns if first_ns is None else first_ns
-            into_ns = played_ns + piece.stamp_ns - first_ns
+            step_ns = PERIOD_NS if last_ns is None else piece.stamp_ns - last_ns
+            into_ns += step_ns if -FARTHEST_BACK_NS <= step_ns <= FARTHEST_NS else PERIOD_NS
+            last_ns = piece.stamp_ns
             if rate > 0:
                 due_ns = into_ns if rate == 1.0 else round(into_ns / rate)
                 wait(max(0.0, start_s + due_ns * 1e-9 - monotonic_s()))
@@ -44,7 +47,6 @@ def replayed(url: SourceUrl, topic: Topic, wait: Callable[[float], object] = tim
             yield piece
         if not url.flag("loop"):
             return
-        played_ns = into_ns + PERIOD_NS
 
 
 def pieces(url: SourceUrl, topic: Topic) -> Iterator[RawBytes]:

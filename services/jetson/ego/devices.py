@@ -11,7 +11,7 @@ import serial
 
 from common.clock import monotonic_s
 from common.config import ConfigError
-from common.serial_port import explain
+from common.serial_port import PORT_ERRORS, explain
 from common.source_url import SourceUrl
 from services.jetson.ego.can_signals import CanSignals
 from services.jetson.ego.config import EgoConfig
@@ -51,7 +51,7 @@ class SerialLines:
                 self._was_open = True
                 while True:
                     yield from reader.feed(monotonic_s(), port.read(max(1, port.in_waiting)))
-        except (serial.SerialException, OSError) as error:
+        except PORT_ERRORS as error:
             raise OSError(explain(self._url.target, error, self._was_open)) from None
 
 
@@ -70,7 +70,7 @@ class Vesc:
             with serial.Serial(self._url.target, self._baud, timeout=self._config.period_s, exclusive=True) as port:
                 self._was_open = True
                 yield from self._ask(port)
-        except (serial.SerialException, OSError) as error:
+        except PORT_ERRORS as error:
             raise OSError(explain(self._url.target, error, self._was_open)) from None
 
     def _ask(self, port: Any) -> Readings:

@@ -9,7 +9,7 @@ from typing import Protocol
 import serial
 
 from common.backoff import Backoff
-from common.serial_port import explain
+from common.serial_port import PORT_ERRORS, explain
 from common.source_url import SourceUrl
 from services.jetson.gate.config import GateConfig
 from services.jetson.gate.frames import FRAMES_STOPPED, Report, ReportReader, permission_frame
@@ -96,7 +96,7 @@ class FramedOutput:
         self._seq = (self._seq + 1) & 0xFF
         try:
             self._port.write(permission_frame(self._seq, decision, self._permit_s, verdict_seq))
-        except (serial.SerialException, OSError) as error:
+        except PORT_ERRORS as error:
             self._lose(now_s, explain(self.url.target, error, self._was_open))
             return
         self._told.append((now_s, RANK[decision.permission]))
@@ -109,7 +109,7 @@ class FramedOutput:
             return
         try:
             self._take(now_s, self._port.read())
-        except (serial.SerialException, OSError) as error:
+        except PORT_ERRORS as error:
             self._lose(now_s, explain(self.url.target, error, self._was_open))
             return
         silent_s = now_s - max(self._report_s, self._opened_s)
@@ -145,7 +145,7 @@ class FramedOutput:
             try:
                 self._seq = (self._seq + 1) & 0xFF
                 self._port.write(permission_frame(self._seq, STOPPED, self._permit_s))
-            except (serial.SerialException, OSError) as error:
+            except PORT_ERRORS as error:
                 log.warning("%s: could not say STOP at the end: %s", self.url, error)
             self._close_port()
 
@@ -154,7 +154,7 @@ class FramedOutput:
             return False
         try:
             self._port = self._open_port()
-        except (serial.SerialException, OSError) as error:
+        except PORT_ERRORS as error:
             self._lose(now_s, explain(self.url.target, error, self._was_open))
             return False
         self._was_open, self._opened_s, self._report, self._presses = True, now_s, None, None

@@ -21,7 +21,7 @@ from common.config import ConfigError
 from common.messages import LaserScan, Motion
 from common.recording.raw import MCAP_PARAMETERS, recorded_motion, replayed
 from common.ros2.source import ROS2_PARAMETERS, require_rosbags
-from common.serial_port import explain
+from common.serial_port import PORT_ERRORS, explain
 from common.source_url import SourceUrl, parse_source
 from common.topics import LIDAR_RAW
 from services.jetson.lidar.config import LidarConfig, SerialSection
@@ -57,7 +57,7 @@ def open_source(
         ConfigError: at once for an unknown scheme or parameter or no such file; later for one that cannot be read.
     """
     url = parse_source(config.source, {name: tuple(params) for name, params in SCHEMES.items()})
-    if url.scheme in ("file", "mcap") and not Path(url.target).exists():
+    if url.scheme in ("file", "mcap") and not Path(url.target).expanduser().exists():
         raise ConfigError(f"source {url}: no such file")
     return _ros(url, config, report) if url.scheme == "ros2" else _scans(url, config, report, raw)
 
@@ -102,7 +102,7 @@ def file_chunks(url: SourceUrl, sample_rate_hz: float, restart: Callable[[], Non
         ConfigError: the file is missing, unreadable or empty.
     """
     try:
-        recording = Path(url.target).read_bytes()
+        recording = Path(url.target).expanduser().read_bytes()
     except OSError as error:
         raise ConfigError(f"source {url}: {error.strerror}: a file of raw LD06 bytes is expected") from None
     if not recording:
@@ -181,7 +181,7 @@ class SerialBytes:
                         if data:
                             backoff.reset()
                         yield utc_ns(), data
-            except (serial.SerialException, OSError) as error:
+            except PORT_ERRORS as error:
                 self._tell(explain(self._port, error, self._was_open))
                 self._report.count("port_failures")
             time.sleep(backoff.next_s())

@@ -22,7 +22,7 @@ from common.config import ConfigError, ZenohConfig
 from common.messages import Message, Motion, RawBytes
 from common.recording import raw as raw_source
 from common.recording.file import RecordingFile
-from common.recording.raw import pieces, replayed
+from common.recording.raw import PERIOD_NS, pieces, replayed
 from common.source_url import SourceUrl
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.input.packets import Frame
@@ -218,6 +218,22 @@ def test_at_rate_one_all_stamps_move_by_the_same_time(tmp_path: Path, monkeypatc
     assert [p.stamp_ns - T0 - 10**15 for p in replayed(url, topics.LIDAR_RAW, waits.append)][-1] == 40_000_000
     url.params["rate"] = "0"
     assert [p.stamp_ns for p in replayed(url, topics.LIDAR_RAW)] == [T0 + i * 20_000_000 for i in range(5)]
+
+
+@pytest.mark.parametrize("jump_ns", [10**18, -(10**18), -5 * 10**9], ids=["years ahead", "years back", "seconds back"])
+def test_a_recording_in_which_the_clock_was_set_is_played_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jump_ns: int
+) -> None:
+    monkeypatch.setattr(raw_source, "monotonic_s", lambda: 100.0)
+    stamps_ns = [T0, T0 + 20_000_000, T0 + jump_ns + 40_000_000, T0 + jump_ns + 60_000_000]
+    with RecordingFile(tmp_path / "a.mcap", {}) as file:
+        for i, stamp_ns in enumerate(stamps_ns):
+            piece = RawBytes(stamp_ns=stamp_ns, kind="ld06", index=i, data=np.array([i], np.uint8))
+            file.add("jetson0/lidar/raw", RawBytes, encode(piece), T0 + i, 0, i)
+    waits: list[float] = []
+    played = [p.stamp_ns for p in replayed(SourceUrl("mcap", str(tmp_path / "a.mcap")), topics.LIDAR_RAW, waits.append)]
+    assert np.diff(played).tolist() == [20_000_000, PERIOD_NS, 20_000_000]
+    assert max(waits) < 0.2
 
 
 def test_what_cannot_be_played_is_said(tmp_path: Path) -> None:
