@@ -130,13 +130,12 @@ class Recorder:
 
     def _fill(self, file: RecordingFile, stop: threading.Event, tell: Callable[[RecorderStatus], None]) -> None:
         """One file, until it is full, old, or the recording ends."""
-        opened_s = flushed_s = monotonic_s()
+        opened_s = monotonic_s()
         sync = Periodic(SYNC_PERIOD_S, opened_s)
         while not stop.is_set():
-            self._drain(file, until_s=flushed_s + FLUSH_PERIOD_S)
+            self._drain(file, until_s=monotonic_s() + FLUSH_PERIOD_S)
             now_s = monotonic_s()
             file.flush()
-            flushed_s = now_s
             if not sync.due(now_s):
                 continue
             self._note_status(file)
@@ -145,14 +144,15 @@ class Recorder:
             self._guard_disk()
             if file.size_bytes > self._options.rotate_bytes or now_s - opened_s > self._options.rotate_s:
                 return
-        self._drain(file, until_s=0.0)  # what came before the stop belongs to the recording
+        for _ in range(self._queue.qsize()):  # what came before the stop belongs to the recording
+            self._write(file, self._queue.get_nowait())
         self._note_status(file)
 
     def _drain(self, file: RecordingFile, until_s: float) -> None:
-        while True:
-            left_s = until_s - monotonic_s()
+        """Write what comes until a moment, also when more comes than can be written: flush and stop must not wait."""
+        while (left_s := until_s - monotonic_s()) > 0:
             try:
-                arrival = self._queue.get(timeout=left_s) if left_s > 0 else self._queue.get_nowait()
+                arrival = self._queue.get(timeout=left_s)
             except queue.Empty:
                 return
             self._write(file, arrival)

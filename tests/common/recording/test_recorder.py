@@ -25,8 +25,9 @@ from common.bus.session import open_session
 from common.codec import decode, encode
 from common.config import ServiceConfig, ZenohConfig
 from common.messages import LidarZones
+from common.recording.file import RecordingFile
 from common.recording.reader import read, summarise
-from common.recording.recorder import DiskFull, Recorder, RecorderOptions
+from common.recording.recorder import Arrival, DiskFull, Recorder, RecorderOptions
 
 Zones = Callable[[int], LidarZones]
 Run = Callable[[Recorder, Callable[[], object], int], None]
@@ -191,3 +192,24 @@ def test_a_killed_recorder_loses_less_than_a_second(
     summary = summarise(path)
     assert not summary.complete
     assert killed_ns - summary.end_ns < 1_000_000_000
+
+
+def test_a_bus_that_is_faster_than_the_disk_does_not_keep_the_recorder_from_flushing_or_ending(
+    zenoh_config: ZenohConfig, tmp_path: Path, zones: Zones
+) -> None:
+    class Overrun(Recorder):
+        def _write(self, file: RecordingFile, arrival: Arrival) -> None:
+            super()._write(file, arrival)
+            self._queue.put(arrival)  # another one is there before this one is done
+
+    stop, told = threading.Event(), threading.Event()
+    with open_session(zenoh_config) as laptop:
+        recorder = Overrun(laptop, [topics.LIDAR_ZONES], RecorderOptions(tmp_path, 0, foxglove=False), {})
+        recorder._queue.put(Arrival("jetson0/lidar/zones", encode(zones(1)), 1))
+        thread = threading.Thread(target=recorder.run, args=(stop, lambda _: told.set()), daemon=True)
+        thread.start()
+        assert told.wait(20)
+        stop.set()
+        thread.join(20)
+        recorder.close()
+    assert not thread.is_alive()
