@@ -18,6 +18,7 @@ from common.recording.colours import COLOURS
 from common.topics import ONBOARD_SENSORS
 
 TRACK_LIFETIME_NS = 500_000_000
+LAST_SECOND = 2**32 - 1
 LOG_LEVELS = {"SAFE": "Info", "CAUTION": "Warning", "IMMINENT": "Error"}
 Converted = list[tuple[str, Any]]
 
@@ -153,7 +154,9 @@ _CONVERTERS: dict[type[m.Message], Callable[[str, Any], Converted]] = {
 
 
 def _time(stamp_ns: int) -> Any:
-    return fg.Timestamp(sec=stamp_ns // 1_000_000_000, nsec=stamp_ns % 1_000_000_000)
+    """Foxglove's time ends in 2106. A later stamp, of a clock that is wrong, must not end who draws it."""
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    return fg.Timestamp(sec=min(seconds, LAST_SECOND), nsec=nanoseconds)
 
 
 def _duration(ns: int) -> Any:

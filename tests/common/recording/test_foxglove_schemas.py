@@ -10,7 +10,7 @@ import pytest
 from mcap.reader import make_reader
 
 from common import messages as m
-from common.codec import encode
+from common.codec import decode, encode
 from common.messages import Verdict
 from common.recording.file import RecordingFile
 
@@ -82,3 +82,11 @@ def test_the_file_carries_foxgloves_own_schemas_and_is_sound(tmp_path: Path) -> 
 def test_every_kind_of_message_that_can_be_drawn_is_drawn() -> None:
     for key, (message, name) in SHOWN.items():
         assert {type(converted).get_schema().name for _, converted in foxglove.convert(key, message)} == {name}, key
+
+
+@pytest.mark.parametrize("key", SHOWN)
+def test_a_stamp_after_foxgloves_last_second_ends_neither_recorder_nor_bridge(key: str) -> None:
+    message = decode(encode(SHOWN[key][0]), type(SHOWN[key][0]))
+    message.stamp_ns = 2**64 - 1  # the greatest that a message may carry
+    ((_, converted),) = foxglove.convert(key, message)
+    assert isinstance(converted.encode(), bytes)
