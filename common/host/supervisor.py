@@ -120,16 +120,21 @@ class Supervisor:
             return 0.0
         if child.heartbeat is not None:
             child.heartbeat.begin()  # before it starts: its first word may come at once
-        process = await asyncio.create_subprocess_exec(
-            *child.command,
-            stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.STDOUT,
-            env=self._environment(child),
-            cwd=child.folder,
-            start_new_session=True,  # Ctrl-C reaches us alone, and we stop them in order
-            preexec_fn=_die_with_parent,
-        )
+        try:
+            process = await asyncio.create_subprocess_exec(
+                *child.command,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.STDOUT,
+                env=self._environment(child),
+                cwd=child.folder,
+                start_new_session=True,  # Ctrl-C reaches us alone, and we stop them in order
+                preexec_fn=_die_with_parent,
+            )
+        except OSError as error:  # no memory, its folder is gone: no reason to stop the others
+            self._say(child, index, f"cannot be started: {error.filename or child.command[0]}: {error.strerror}")
+            child.exit_code = None
+            return 0.0
         started_s = loop.time()
         child.starts, child.pid, child.exit_code = child.starts + 1, process.pid, None
         forwarding = asyncio.create_task(self._forward(process, child, index))
