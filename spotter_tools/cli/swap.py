@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import signal
 import sys
 from pathlib import Path
@@ -50,6 +51,8 @@ def swap(
         row = service_row(service)
     except KeyError as error:
         fail(str(error.args[0]), code=2)
+    for option, command in (("--candidate", candidate), ("--stop", stop or "none"), ("--start", start or "none")):
+        _check_command(option, command)
     order = Order(
         service=service,
         host=host or row.host,
@@ -71,6 +74,16 @@ def swap(
         _say(f"minding process {live.process.pid}: started again when it dies; Ctrl-C stops it")
         keep(service, live, _say)
     raise SystemExit(0 if outcome.promoted or (dry_run and not outcome.reasons) else 1)
+
+
+def _check_command(option: str, command: str) -> None:
+    """Before anything is started: words that cannot be taken apart would end the swap in the middle."""
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        fail(f"{option} {command!r}: expected a command, {str(error).lower()}", code=2)
+    if not words:
+        fail(f"{option} {command!r}: expected a command, found none", code=2)
 
 
 def _say(text: str) -> None:

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -18,6 +19,8 @@ from common.host.process_plan import service_environment
 from common.security.rules import SHADOW
 
 STOP_BUDGET_S = 5.0
+# A service that is not ours is told by these where it belongs.
+OF_A_SERVICE = ("SPOTTER_HOST", "SPOTTER_CONNECT", "SPOTTER_NAMESPACE", INBOX_VARIABLE)
 
 
 def command_line(command: str, host: str, connect: str, namespace: str) -> list[str]:
@@ -124,33 +127,46 @@ class Predecessor:
             write_successor(self.inbox, self.service, known)
 
     def stop(self) -> None:
-        """Stop it by its stop command, or by a signal."""
+        """Stop it by its stop command, or by a signal; one that has ended by itself is stopped.
+
+        Raises:
+            OSError, subprocess.SubprocessError: it cannot be stopped and still runs.
+        """
         if self._stop_command:
             subprocess.run(self._stop_command, check=True, timeout=30, stdout=subprocess.DEVNULL)
-        else:
+            return
+        with suppress(ProcessLookupError):
             os.kill(self.pid, signal.SIGTERM)
 
     def start_again(self, log: Path) -> bool:
-        """By its supervisor, or with the words and the environment that it had; False without either."""
+        """By its supervisor, or with the words and the environment that it had; False when that is not possible."""
         if self.inbox is not None:
             return True  # done as soon as the new one has ended
-        if self._start_command:
-            return subprocess.run(self._start_command, timeout=30, check=False).returncode == 0
-        if not self._words:
+        try:
+            if self._start_command:
+                return subprocess.run(self._start_command, timeout=30, check=False).returncode == 0
+            if not self._words:
+                return False
+            with log.open("ab") as output:
+                self.live = Live.start(self._words, self._environment, output)
+        except (OSError, subprocess.SubprocessError):
             return False
-        with log.open("ab") as output:
-            self.live = Live.start(self._words, self._environment, output)
         return True
 
 
 def _remember(pid: int) -> tuple[list[str], dict[str, str]]:
-    """Words and environment of a process of ours on this machine, read before it is stopped; empty if not here."""
+    """Words and environment of a process of ours on this machine, read before it is stopped; empty if not here.
+
+    The number is that of the service's own machine. Here another program may have it, which must not be stopped.
+    """
     try:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")[:-1]
         pairs = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")[:-1]
     except OSError:
         return [], {}
     environment = dict(pair.decode(errors="surrogateescape").split("=", 1) for pair in pairs if b"=" in pair)
+    if not any(b"spotter" in word for word in words) and not any(name in environment for name in OF_A_SERVICE):
+        return [], {}
     return [word.decode(errors="surrogateescape") for word in words], _without_swap(environment)
 
 

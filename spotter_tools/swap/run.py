@@ -71,7 +71,8 @@ def _start(order: Order, old: ServiceInfo, predecessor: Predecessor) -> Candidat
     try:
         return Candidate(words, environment, old.instance.partition(AFTER)[0], order.log)
     except OSError as error:
-        raise Refused(f"cannot start {words[0]}: {error.strerror}") from None
+        what = f"--log {order.log}" if error.filename == str(order.log) else f"cannot start {words[0]}"
+        raise Refused(f"{what}: {error.strerror}") from None
 
 
 def _compare(order: Order, taps: SwapTaps, candidate: Candidate, say: Callable[[str], None]) -> Comparison:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -39,11 +40,15 @@ class Switchover:
         """The candidate publishes before the old service stops, so that no message is missing in between.
 
         Raises:
-            Refused: the candidate does not publish under the live key; the old service has not been stopped.
+            Refused: the candidate does not publish under the live key, or the old service, which still runs, cannot
+                be stopped.
         """
         new = self._promote()
-        self.predecessor.tell_supervisor(self.candidate.live, kept=False)
-        self.predecessor.stop()
+        try:
+            self.predecessor.tell_supervisor(self.candidate.live, kept=False)
+            self.predecessor.stop()
+        except (OSError, subprocess.SubprocessError) as error:
+            raise Refused(f"{self.old.instance} cannot be stopped: {error}", comparison=self.comparison) from None
         self.taps.promoted = True
         self.say(f"{new} is live, {self.old.instance} is stopped; watching for {self.order.probation_s:g} s")
         gone = self.taps.wait_instances(lambda ids: self.old.instance not in ids, HANDOVER_BUDGET_S)
@@ -111,6 +116,8 @@ class Switchover:
         if self.predecessor.start_again(log):
             back = self.taps.live.wait(lambda heard: heard[-1].arrived_s > begun_s, START_BUDGET_S, lambda: False)
             reasons.append("the old service runs again" if back else f"the old service does not come back; see {log}")
+        else:
+            reasons.append("the old service could not be started again and nobody does its work: start it yourself")
         return Outcome(
             promoted=False,
             reasons=tuple(reasons),

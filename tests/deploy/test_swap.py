@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,8 +16,11 @@ import pytest
 from common.bus.presence import claimants, successor
 from common.messages import ObjectTrack, ObjectTracks, RadarTrack, RadarTracks, SensorHealth, SystemHealth
 from common.topics import INFRA_TRACKS, RADAR_TRACKS
-from spotter_tools.swap.candidate import command_line
+from spotter_tools.swap.candidate import Predecessor, command_line
 from spotter_tools.swap.compare import Limits, Received, compare, in_common, refuse
+from spotter_tools.swap.order import Refused
+from spotter_tools.swap.run import _start
+from spotter_tools.swap.switchover import Switchover
 from spotter_tools.swap.taps import primary
 from spotter_tools.swap.watch import flaps, handover_seen, lost, speakers
 
@@ -183,3 +190,65 @@ def test_only_our_own_programs_are_told_by_options(monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("PATH", "")
     assert command_line("spotter-radar", "pi0", "tcp/127.0.0.1:7447", "spotter")[0] == sibling
     assert command_line("python theirs.py", "pi0", "tcp/127.0.0.1:7447", "spotter") == ["python", "theirs.py"]
+
+
+@contextmanager
+def process(*more: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A program that waits, with nothing of ours in its environment; ``more`` are further words."""
+    with subprocess.Popen([sys.executable, "-c", "input()", *more], stdin=subprocess.PIPE, env={}) as waiting:
+        yield waiting
+        waiting.kill()
+
+
+def test_another_program_that_has_the_number_of_a_service_elsewhere_is_left_alone() -> None:
+    with process() as stranger, process("spotter-radar") as ours:
+        assert not Predecessor("radar", stranger.pid, "", "").reachable
+        assert Predecessor("radar", ours.pid, "", "").reachable
+        assert Predecessor("radar", stranger.pid, "systemctl stop spotter-radar", "").reachable
+
+
+def switchover(predecessor: Predecessor, tmp_path: Path) -> Switchover:
+    """A candidate that has just been promoted, as ``Switchover`` sees it."""
+    heard = stream(5)
+    tap = SimpleNamespace(since=lambda _: heard, wait=lambda *_: True)
+    presence = SimpleNamespace(instances=lambda: {("pi0", "radar", "new-after-old")})
+    taps: Any = SimpleNamespace(
+        live=tap, shadow=tap, verdicts=tap, health=tap, presence=presence, wait_instances=lambda *_: True,
+        promoted=False,
+    )  # fmt: skip
+    order: Any = SimpleNamespace(service="radar", log=tmp_path / "log", probation_s=1.0, limits=Limits())
+    candidate: Any = SimpleNamespace(
+        promote=lambda: None, stop=lambda: None, ended=lambda: "it ended with code 1", live=None, pid=1
+    )
+    old: Any = SimpleNamespace(instance="old")
+    return Switchover(order, taps, old, predecessor, candidate, compare(RADAR_TRACKS, 5.0, heard, heard), print)
+
+
+@pytest.mark.parametrize("stop", ["false", "/no/such/systemctl stop spotter-radar"])
+def test_a_service_that_cannot_be_stopped_is_a_refusal(stop: str, tmp_path: Path) -> None:
+    with pytest.raises(Refused, match=r"old cannot be stopped: .*(non-zero exit status 1|/no/such/systemctl)"):
+        switchover(Predecessor("radar", 1, stop, ""), tmp_path).run()
+
+
+def test_a_service_that_ended_by_itself_meanwhile_is_no_reason_to_end_its_successor_too(tmp_path: Path) -> None:
+    with process("spotter-radar") as dead:
+        predecessor = Predecessor("radar", dead.pid, "", "/no/such/systemctl start spotter-radar")
+    outcome = switchover(predecessor, tmp_path).run()
+    assert outcome.reasons[0] == "it ended with code 1"
+    assert outcome.reasons[-1] == (
+        "the old service could not be started again and nobody does its work: start it yourself"
+    )
+
+
+def test_a_log_that_cannot_be_written_is_named_instead_of_the_candidate(tmp_path: Path) -> None:
+    order: Any = SimpleNamespace(
+        host="pi0",
+        connect="tcp/127.0.0.1:1",
+        namespace="spotter",
+        candidate=sys.executable,
+        log=tmp_path / "no" / "log",
+    )
+    old: Any = SimpleNamespace(instance="old")
+    predecessor: Any = SimpleNamespace(inherited={})
+    with pytest.raises(Refused, match=f"--log {order.log}: No such file or directory"):
+        _start(order, old, predecessor)

@@ -32,6 +32,12 @@ ENDPOINT = "expected PROTOCOL/HOST:PORT, e.g. tcp/127.0.0.1:7447"
             2,
             "radar: source sim:nowhere: no scenario 'nowhere'; known: crossing, empty, faults, drive, emergency",
         ),
+        (
+            ["swap", "radar", "--candidate", "it's"],
+            2,
+            """--candidate "it's": expected a command, no closing quotation""",
+        ),
+        (["swap", "radar", "--candidate", " "], 2, "--candidate ' ': expected a command, found none"),
         (["up", "mars"], 2, "no services on host 'mars'; known hosts: infra0, jetson0, pi0"),
     ],
 )
