@@ -42,7 +42,7 @@ def cpm(
     The site's [map] says where the map lies. Tracks that are not live, or of a sensor that is degraded, are not sent.
     """
     try:
-        from spotter_tools.cpm.codec import encode
+        from spotter_tools.cpm.codec import CpmError, encode
         from spotter_tools.cpm.message import messages_of
     except ImportError:
         needs_extra("Collective Perception Messages need", "cpm")
@@ -58,23 +58,30 @@ def cpm(
         while not count or sent < count:
             try:
                 message = decode(arrived.get(timeout=NOBODY_AFTER_S).payload.to_bytes(), ObjectTracks)
+                reason = why_not(message, accept_simulated)
+                if not reason:
+                    with_sensors = time.monotonic() >= sensors_due_s
+                    for content in messages_of(message, origin, station_id, with_sensors):
+                        radio.sendto(encode(content), address)
+                        sent += 1
+                    sensors_due_s = time.monotonic() + SENSORS_EVERY_S if with_sensors else sensors_due_s
             except queue.Empty:
-                if reason := why_silent(session, key):
-                    fail(reason)
-                continue
-            except DecodeError as error:
-                fail(f"{key}: {error}")
-            reason = why_not(message, accept_simulated)
+                reason = _why_nothing(session, key, heard=told is not None)
+            except (DecodeError, CpmError) as error:
+                reason = f"{key}: {error}"
+            except OSError as error:  # the roadside unit or the network may be away for a while
+                reason = f"--to {to}: {error.strerror or error}"
             if reason != told:
                 sys.stderr.write(f"spotter: {f'not sent: {reason}' if reason else f'sending to {to}'}\n")
                 told = reason
-            if reason:
-                continue
-            with_sensors = time.monotonic() >= sensors_due_s
-            sensors_due_s = time.monotonic() + SENSORS_EVERY_S if with_sensors else sensors_due_s
-            for content in messages_of(message, origin, station_id, with_sensors):
-                radio.sendto(encode(content), address)
-                sent += 1
+
+
+def _why_nothing(session: zenoh.Session, key: str, *, heard: bool) -> str:
+    """Ends the command when nobody publishes; not once tracks have come: their service may start again."""
+    silent = why_silent(session, key)
+    if silent and not heard:
+        fail(silent)
+    return silent or f"nothing comes on {key}"
 
 
 def why_not(message: ObjectTracks, accept_simulated: bool) -> str:

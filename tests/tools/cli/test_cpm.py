@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import threading
 import time
@@ -15,7 +16,10 @@ from typer.testing import CliRunner
 pytest.importorskip("asn1tools", reason="needs the cpm extra")
 
 from common.bus.runtime import Service
+from common.codec import DecodeError
+from common.codec import decode as from_wire
 from common.config import ServiceConfig, ZenohConfig
+from common.messages import ObjectTracks
 from common.topics import INFRA_TRACKS
 from spotter_tools.cli.__main__ import app
 from spotter_tools.cpm.codec import decode
@@ -59,6 +63,38 @@ def test_tracks_become_datagrams(speaking_roadside: str, tmp_path: Path) -> None
     assert [3 in one["containers"] for one in received] == [True, False, False]  # of the lidar: once a second
     (seen,) = received[0]["containers"][5]["perceivedObjects"]
     assert (seen["objectId"], seen["position"]["xCoordinate"]["value"]) == (7, 300)
+
+
+def test_a_network_that_is_away_and_a_message_that_cannot_be_read_do_not_end_it(
+    speaking_roadside: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "site.toml").write_text(SITE)
+    faults = [OSError(errno.ENETUNREACH, "Network is unreachable"), DecodeError("ObjectTracks: truncated")]
+
+    class Radio(socket.socket):
+        def sendto(self, *_: object) -> int:
+            if len(faults) == 2:
+                raise faults.pop(0)
+            return 1
+
+    def read(payload: bytes, kind: type[ObjectTracks]) -> ObjectTracks:
+        if len(faults) == 1:
+            raise faults.pop(0)
+        return from_wire(payload, kind)
+
+    monkeypatch.setattr("spotter_tools.cli.cpm.socket.socket", Radio)
+    monkeypatch.setattr("spotter_tools.cli.cpm.decode", read)
+    result = CliRunner().invoke(
+        app,
+        ["cpm", "--to", "127.0.0.1:9", "--station-id", "99", "-n", "1", "--accept-simulated", "--namespace", "spotter",
+         "--connect", speaking_roadside, "--site", str(tmp_path / "site.toml")],
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert result.output.splitlines() == [
+        "spotter: not sent: --to 127.0.0.1:9: Network is unreachable",
+        "spotter: not sent: infra0/infra_lidar/tracks: ObjectTracks: truncated",
+        "spotter: sending to 127.0.0.1:9",
+    ]
 
 
 @pytest.mark.parametrize(
