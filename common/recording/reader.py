@@ -33,7 +33,7 @@ DAMAGE = (
 
 
 class RecordingError(ValueError):
-    """Not a recording, or a damaged one."""
+    """Not a recording, a damaged one, or one that cannot be read."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,8 @@ def read(path: Path, start_ns: int | None = None, refused: Counter[str] | None =
     ``refused`` counts, by key, the messages under a key of ours whose schema or encoding is not ours.
 
     Raises:
-        RecordingError: a chunk fails its CRC. (A file without an end is read up to its last whole chunk.)
+        RecordingError: a chunk fails its CRC, or the file cannot be read. (One without an end is read up to its last
+            whole chunk.)
     """
     if not is_complete(path):
         yield from _read_cut(path, start_ns, refused)
@@ -86,13 +87,16 @@ def is_complete(path: Path) -> bool:
     """Whether the recorder came to its end: the file closes with the format's magic.
 
     Raises:
-        RecordingError: it does not begin as an MCAP file either.
+        RecordingError: it does not begin as an MCAP file either, or it cannot be read at all.
     """
-    with path.open("rb") as stream:
-        if stream.read(len(MAGIC)) != MAGIC:
-            raise RecordingError(f"{path}: not an MCAP file")
-        stream.seek(-len(MAGIC), 2)
-        return stream.tell() > len(MAGIC) and stream.read() == MAGIC
+    try:
+        with path.open("rb") as stream:
+            if stream.read(len(MAGIC)) != MAGIC:
+                raise RecordingError(f"{path}: not an MCAP file")
+            stream.seek(-len(MAGIC), 2)
+            return stream.tell() > len(MAGIC) and stream.read() == MAGIC
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def files_in(path: Path) -> list[Path]:
@@ -172,6 +176,8 @@ def _read_cut(path: Path, start_ns: int | None, refused: Counter[str] | None = N
         while True:
             try:
                 record = next(records)
+            except OSError as error:
+                raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
             except (StopIteration, *DAMAGE):
                 return
             if isinstance(record, Schema):

@@ -28,7 +28,7 @@ def plot(
         import spotter_tools.plots.story  # noqa: F401
     except ImportError:
         needs_extra("plotting needs", "plot")
-    if what.endswith(".mcap") and not Path(what).is_file():
+    if what.endswith(".mcap") and not Path(what).exists():
         fail(f"{what}: no such file", code=2)
     try:
         if what.endswith(".mcap"):

@@ -19,7 +19,7 @@ def messages(file: Path, unreadable: Counter[str]) -> Iterator[tuple[str, Messag
         from common.recording.reader import RecordingError, expected_messages, read
     except ImportError:
         needs_extra("exporting needs", "record")
-    if not file.is_file():
+    if not file.exists():
         fail(f"{file}: no such file", code=2)
     progress, first_ns = Progress(), 0
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 from collections.abc import Callable
@@ -110,3 +111,24 @@ def test_a_folder_is_its_files_in_order(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     assert [path.name for path in files_in(tmp_path)] == ["spotter-1-000.mcap", "spotter-1-001.mcap"]
     assert files_in(tmp_path / "notes.txt") == [tmp_path / "notes.txt"]
+
+
+def test_what_cannot_be_read_at_all_is_told_as_such(tmp_path: Path) -> None:
+    for path, why in ((tmp_path, "Is a directory"), (Path("/proc/self/mem"), "Input/output error")):
+        for look in (summarise, expected_messages, span_ns, read_metadata):
+            with pytest.raises(RecordingError, match=f"^{path}: cannot be read: {why}$"):
+                look(path)
+
+
+def test_a_cut_file_on_a_disk_that_fails_is_not_taken_for_its_end(
+    recording_of: Recorded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = recording_of(40, flush_every=10)
+    path.write_bytes(path.read_bytes()[:-100])
+
+    def fail(_: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("mcap.stream_reader.Chunk.read", fail)
+    with pytest.raises(RecordingError, match="cannot be read: Input/output error"):
+        list(read(path))

@@ -81,6 +81,24 @@ def test_a_table_into_nowhere(recording: Path) -> None:
     )
 
 
+def test_a_recording_that_cannot_be_read_is_not_blamed_on_the_file_that_is_to_be_written(tmp_path: Path) -> None:
+    for words in (["export", "/proc/self/mem", str(tmp_path / "x.csv")], ["replay", "--verify", "/proc/self/mem"]):
+        refused = runner.invoke(app, words)
+        assert (refused.exit_code, refused.output) == (
+            1,
+            "spotter: /proc/self/mem: cannot be read: Input/output error\n",
+        )
+
+
+@pytest.mark.parametrize("command", [["export"], ["info"], ["replay"], ["replay", "--verify"], ["plot"]])
+def test_a_folder_in_the_place_of_a_recording(command: list[str], tmp_path: Path) -> None:
+    folder = tmp_path / "a.mcap"
+    folder.mkdir()
+    out = [str(tmp_path / "x.svg"), "--as", "csv"] if command == ["export"] else [str(tmp_path / "x.svg")]
+    refused = runner.invoke(app, [*command, str(folder), *(out if command[0] in ("export", "plot") else [])])
+    assert (refused.exit_code, refused.output) == (1, f"spotter: {folder}: cannot be read: Is a directory\n")
+
+
 def test_a_recording_into_nowhere(router_endpoint: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     refused = runner.invoke(app, ["record", str(tmp_path / "file" / "x"), "--connect", router_endpoint])
