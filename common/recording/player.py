@@ -41,10 +41,14 @@ class Player:
         self.played = 0
 
     def run(self, stop: threading.Event, tell: Callable[[float], None] = lambda _: None) -> None:
-        """Play until the end, or again and again with ``loop``; ``tell`` gets seconds into the recording."""
+        """Play until the end, or again and again with ``loop``; ``tell`` gets seconds into the recording.
+
+        A recording in which there is nothing to play ends at once, with ``loop`` too.
+        """
         while not stop.is_set():
+            played = self.played
             self._play_once(stop, tell)
-            if not self._pace.loop:
+            if not self._pace.loop or self.played == played:
                 return
 
     def _play_once(self, stop: threading.Event, tell: Callable[[float], None]) -> None:

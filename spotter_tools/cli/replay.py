@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import sys
 import threading
@@ -48,6 +49,8 @@ def replay(
         fail("--service and --config go with --verify; a service plays raw bytes with --source mcap:FILE", code=2)
     if not rate > 0:
         fail(f"--rate {rate}: must be greater than 0", code=2)
+    if not 0.0 <= seek < math.inf:
+        fail(f"--seek {seek:g}: expected seconds from the beginning, 0 or more", code=2)
     try:
         from common.recording.player import Pace
     except ImportError:
@@ -79,6 +82,8 @@ def _play(files: list[Path], pace: Pace, connect: str, namespace: str) -> int:
             fail(str(error))
         finally:
             progress.close()
+    if not player.played and not stop.is_set():
+        fail("nothing to play: no message of ours" + (f" at --seek {pace.seek_s:g} or later" if pace.seek_s else ""))
     return player.played
 
 

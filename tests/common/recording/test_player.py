@@ -70,3 +70,20 @@ def test_seeking_skips_the_beginning(tmp_path: Path, zenoh_config: ZenohConfig, 
         player = Player(session, [path], Pace(rate=1e6, seek_s=6.0))
         player.run(threading.Event())
     assert player.played == 4
+
+
+def test_a_loop_over_nothing_ends(tmp_path: Path, zenoh_config: ZenohConfig, add: Add) -> None:
+    path = tmp_path / "a.mcap"
+    with RecordingFile(path, {}) as file:
+        add(file, "jetson0/ego/motion", EgoMotion(stamp_ns=1, speed_mps=None, yaw_rate_radps=None), 10**9)
+    stop = threading.Event()
+    with open_session(zenoh_config) as session:
+        player = Player(session, [path], Pace(seek_s=6.0, loop=True))
+        thread = threading.Thread(target=player.run, args=(stop,), daemon=True)
+        thread.start()
+        thread.join(5)
+        ended = not thread.is_alive()
+        stop.set()
+        thread.join()
+    assert ended
+    assert player.played == 0

@@ -99,6 +99,22 @@ def test_a_folder_in_the_place_of_a_recording(command: list[str], tmp_path: Path
     assert (refused.exit_code, refused.output) == (1, f"spotter: {folder}: cannot be read: Is a directory\n")
 
 
+@pytest.mark.parametrize(
+    ("seek", "code", "said"),
+    [
+        ("100", 1, "nothing to play: no message of ours at --seek 100 or later"),
+        ("-1", 2, "--seek -1: expected seconds from the beginning, 0 or more"),
+        ("nan", 2, "--seek nan: expected seconds from the beginning, 0 or more"),
+        ("inf", 2, "--seek inf: expected seconds from the beginning, 0 or more"),
+    ],
+)
+def test_a_replay_from_where_there_is_nothing(
+    seek: str, code: int, said: str, recording: Path, router_endpoint: str
+) -> None:
+    refused = runner.invoke(app, ["replay", str(recording), "--loop", "--seek", seek, "--connect", router_endpoint])
+    assert (refused.exit_code, refused.output) == (code, f"spotter: {said}\n")
+
+
 def test_a_recording_into_nowhere(router_endpoint: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     refused = runner.invoke(app, ["record", str(tmp_path / "file" / "x"), "--connect", router_endpoint])
