@@ -67,7 +67,7 @@ def collect(
     """One ``Seen`` after each period, for ever or until the source ends; the first begins with the first item.
 
     Raises:
-        ConfigError, OSError, ValueError: what the source raises.
+        Exception: what the source raises; ConfigError, OSError or ValueError where it was foreseen.
     """
     report, arrived = Report("look"), queue.Queue[tuple[float, T | _End]]()
 
@@ -76,7 +76,7 @@ def collect(
         try:
             for item in open_items(report):
                 arrived.put((monotonic_s(), item))
-        except (ConfigError, OSError, ValueError) as raised:
+        except Exception as raised:  # noqa: BLE001  raised again where the items are read: else it would look like silence
             error = raised
         arrived.put((monotonic_s(), _End(error)))
 
