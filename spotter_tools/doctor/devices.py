@@ -57,8 +57,7 @@ def check_device(service: str, source: str, own_command: tuple[str, ...] = ()) -
     if not path.exists():
         yield broken(check, f"{path} is not there", _MISSING["serial" if scheme in SERIAL else scheme])
     elif not os.access(path, os.R_OK | os.W_OK):
-        group = grp.getgrgid(path.stat().st_gid).gr_name
-        yield broken(check, f"{path} may not be used by this user", f"add it to the group: usermod -aG {group} $USER")
+        yield broken(check, f"{path} may not be used by this user", _into_the_group(path.stat().st_gid))
     elif scheme in SERIAL and not is_terminal(path):
         yield broken(
             check, f"{path} is no serial port", 'source = "serial:/dev/serial/by-id/..." or "serial:/dev/ttyTHS1"'
@@ -67,6 +66,14 @@ def check_device(service: str, source: str, own_command: tuple[str, ...] = ()) -
         yield broken(check, f"{path} is no device", "correct the source")
     else:
         yield ok(check, f"{path} is there and usable")
+
+
+def _into_the_group(gid: int) -> str:
+    """A container knows the groups of its host by their numbers only."""
+    try:
+        return f"add it to the group: usermod -aG {grp.getgrgid(gid).gr_name} $USER"
+    except KeyError:
+        return f"its group {gid} has no name here; in a container: group_add {gid}"
 
 
 def check_model(service: str, model: str) -> Iterator[Finding]:

@@ -58,7 +58,12 @@ def check_provider(machine: str = "") -> Iterator[Finding]:
     machine = machine or platform.machine()
     if importlib.util.find_spec("onnxruntime") is None:
         return
-    onnxruntime = importlib.import_module("onnxruntime")  # an extra of some hosts only
+    try:
+        onnxruntime = importlib.import_module("onnxruntime")  # an extra of some hosts only
+    except (ImportError, OSError) as error:
+        do = "install the build for this machine, with the versions of CUDA and cuDNN that it names"
+        yield broken("onnxruntime", f"cannot be loaded: {error}", do)
+        return
     available = onnxruntime.get_available_providers()
     in_use = next((name for name in _PROVIDERS if name in available), "none that we use")
     if ("arm" in machine or "aarch64" in machine) and in_use == _PROVIDERS[-1]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 from collections.abc import Collection, Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -41,14 +41,10 @@ def check_services(processes: list[Child], site: Site, running: Collection[str] 
 
 
 def _check_service(child: Child, site: Site, is_running: bool) -> Iterator[Finding]:
-    shown = subprocess.run(
-        [*child.command, "--show-config"], capture_output=True, text=True, timeout=SHOW_CONFIG_BUDGET_S, check=False
-    )
-    if shown.returncode:
-        error = (shown.stderr.strip().splitlines() or ["no message"])[-1].removeprefix("spotter: ")
-        yield broken(f"{child.name} config", error, "correct the named key; the README of the service lists them")
+    config = _configuration(child)
+    if isinstance(config, Finding):
+        yield config
         return
-    config = json.loads(shown.stdout)
     source = str(config.get("source", ""))
     yield ok(f"{child.name} config", "its configuration can be read")
     if child.name == "gate":
@@ -68,6 +64,25 @@ def _check_service(child: Child, site: Site, is_running: bool) -> Iterator[Findi
         yield ok(f"{child.name} look", "its service runs and has the device; what it says is below")
     elif not any(finding.grade == "broken" for finding in found):
         yield check_look(child)
+
+
+def _configuration(child: Child) -> dict[str, Any] | Finding:
+    """What the service would run with, or why it does not say so."""
+    check = f"{child.name} config"
+    try:
+        shown = subprocess.run(
+            [*child.command, "--show-config"], capture_output=True, text=True, timeout=SHOW_CONFIG_BUDGET_S, check=False
+        )
+    except subprocess.TimeoutExpired:
+        late = f"`--show-config`: no answer within {SHOW_CONFIG_BUDGET_S:.0f} s"
+        return broken(check, late, "is this machine overloaded, or its disk slow?")
+    if shown.returncode:
+        error = (shown.stderr.strip().splitlines() or ["no message"])[-1].removeprefix("spotter: ")
+        return broken(check, error, "correct the named key; the README of the service lists them")
+    try:
+        return msgspec.json.decode(shown.stdout, type=dict[str, Any])
+    except msgspec.DecodeError:
+        return broken(check, "`--show-config` printed no configuration", f"is {child.command[0]} the service?")
 
 
 def check_outputs(outputs: list[str]) -> Iterator[Finding]:
@@ -107,5 +122,8 @@ def check_look(child: Child) -> Finding:
     if not line:
         error = (looked.stderr.strip().splitlines() or ["no message"])[-1].removeprefix("spotter: ")
         return broken(check, error, "correct what the message names")
-    look = msgspec.json.decode(line, type=Look)
+    try:
+        look = msgspec.json.decode(line, type=Look)
+    except msgspec.DecodeError:
+        return broken(check, f"no look: {line!r}", f"is {child.command[0]} the service?")
     return ok(check, look.what) if look.sees else broken(check, look.what, look.do or "see the reason")
