@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Channel, Message, Schema
+from mcap.records import Channel, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary as McapSummary
 from zstandard import ZstdError
@@ -69,18 +69,21 @@ def read(path: Path, start_ns: int | None = None, refused: Counter[str] | None =
         RecordingError: a chunk fails its CRC, or the file cannot be read. (One without an end is read up to its last
             whole chunk.)
     """
-    if not is_complete(path):
-        yield from _read_cut(path, start_ns, refused)
-        return
-    try:
-        with path.open("rb") as stream:
-            for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages(starting_at=start_ns):
-                if _is_ours(schema, channel):
-                    yield Recorded(channel.topic, message.data, message.log_time)
-                else:
-                    _refuse(channel, refused)
-    except DAMAGE as error:
-        raise RecordingError(f"{path}: damaged: {error}") from None
+    channels: dict[int, Channel] = {}
+    schemas: dict[int, Schema] = {}
+    for record in _records(path):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message) and (start_ns is None or record.log_time >= start_ns):
+            channel = channels.get(record.channel_id)
+            if channel is None:
+                raise RecordingError(f"{path}: damaged: a message of channel {record.channel_id}, which is not there")
+            if _is_ours(schemas.get(channel.schema_id), channel):
+                yield Recorded(channel.topic, record.data, record.log_time)
+            else:
+                _refuse(channel, refused)
 
 
 def is_complete(path: Path) -> bool:
@@ -167,31 +170,26 @@ def summarise(path: Path) -> Summary:
     return Summary(first_ns, last_ns, counts, is_complete(path))
 
 
-def _read_cut(path: Path, start_ns: int | None, refused: Counter[str] | None = None) -> Iterator[Recorded]:
-    """A file without its end: chunk by chunk, up to the first that is not whole."""
-    channels: dict[int, Channel] = {}
-    schemas: dict[int, Schema] = {}
+def _records(path: Path) -> Iterator[McapRecord]:
+    """In the order of the file, chunk by chunk; of a file without its end up to the first chunk that is not whole.
+
+    Not by log time: where a clock was set back, that would mix what came before with what came after.
+    """
+    whole = is_complete(path)
     with path.open("rb") as stream:
         records = StreamReader(stream, validate_crcs=True).records
         while True:
             try:
                 record = next(records)
+            except StopIteration:
+                return
             except OSError as error:
                 raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
-            except (StopIteration, *DAMAGE):
-                return
-            if isinstance(record, Schema):
-                schemas[record.id] = record
-            elif isinstance(record, Channel):
-                channels[record.id] = record
-            elif isinstance(record, Message):
-                channel = channels[record.channel_id]
-                if start_ns is not None and record.log_time < start_ns:
-                    continue
-                if _is_ours(schemas.get(channel.schema_id), channel):
-                    yield Recorded(channel.topic, record.data, record.log_time)
-                else:
-                    _refuse(channel, refused)
+            except DAMAGE as error:
+                if not whole:
+                    return
+                raise RecordingError(f"{path}: damaged: {error}") from None
+            yield record
 
 
 def _is_ours(schema: Schema | None, channel: Channel) -> bool:

@@ -132,3 +132,18 @@ def test_a_cut_file_on_a_disk_that_fails_is_not_taken_for_its_end(
     monkeypatch.setattr("mcap.stream_reader.Chunk.read", fail)
     with pytest.raises(RecordingError, match="cannot be read: Input/output error"):
         list(read(path))
+
+
+def test_a_clock_that_was_set_back_while_recording_does_not_mix_before_and_after(
+    tmp_path: Path, verdict: Make, add: Callable[..., None]
+) -> None:
+    path = tmp_path / "a.mcap"
+    with RecordingFile(path, {}) as file:
+        for i in range(40):
+            add(file, KEY, verdict(1000 + i, i), 1000 + 10 * i - (155 if i >= 20 else 0))
+            if not i % 7:
+                file.flush()
+    in_order = [encode(verdict(1000 + i, i)) for i in range(40)]
+    assert [one.payload for one in read(path)] == in_order
+    path.write_bytes(path.read_bytes()[:-100])  # the same as of a recorder that was killed
+    assert [one.payload for one in read(path)] == in_order
