@@ -7,7 +7,9 @@ The container is read by dpkt; from the link layer on it is done here, because c
 from __future__ import annotations
 
 import gzip
+import logging
 import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from ipaddress import ip_address
@@ -15,6 +17,10 @@ from typing import BinaryIO, cast
 
 import dpkt
 
+log = logging.getLogger(__name__)
+
+# What dpkt and gzip raise on bytes that are damaged or end too early.
+_DAMAGE = (ValueError, dpkt.Error, struct.error, EOFError, OSError, zlib.error)
 # Link layers by their number (pcap-linktype(7)): where the EtherType stands, and where the packet begins.
 _ETHER_TYPE_AT = {1: (12, 14), 113: (14, 16), 276: (0, 20)}
 _BARE_IP_AT = {0: 4, 12: 0, 14: 0, 101: 0, 228: 0, 229: 0}
@@ -38,40 +44,50 @@ class Datagram:
 
 
 def read_capture(stream: BinaryIO) -> Iterator[Datagram]:
-    """UDP over IPv4 or IPv6 in a pcap or pcapng file, gzipped or not; fragments are joined, a cut end is left out.
+    """UDP over IPv4 or IPv6 in a pcap or pcapng file, gzipped or not; fragments are joined.
 
-    The stream is read as the datagrams are taken, so memory does not grow with it.
+    What follows damaged bytes, or a cut, is left out, and the log says so. The stream is read as the datagrams are
+    taken, so memory does not grow with it.
 
     Raises:
-        CaptureError: no capture, or of an unknown link layer.
+        CaptureError: no capture, damaged at its very beginning, or of an unknown link layer.
     """
-    if stream.read(2) == b"\x1f\x8b":
-        stream.seek(0)
-        stream = cast(BinaryIO, gzip.GzipFile(fileobj=stream))
-        stream.read(1)
-    stream.seek(0)
     try:
+        if stream.read(2) == b"\x1f\x8b":
+            stream.seek(0)
+            stream = cast(BinaryIO, gzip.GzipFile(fileobj=stream))
+        stream.seek(0)
         reader = dpkt.pcap.UniversalReader(stream)
-    except (ValueError, dpkt.Error, struct.error, EOFError, OSError) as error:
-        raise CaptureError(f"no pcap or pcapng capture ({error})") from None
+    except _DAMAGE as error:
+        raise CaptureError(f"no pcap or pcapng capture, or a damaged one ({_words(error)})") from None
     link = reader.datalink()
     if link not in _ETHER_TYPE_AT and link not in _BARE_IP_AT:
         raise CaptureError(f"link layer {link} is not known")
     fragments = Fragments()
-    for stamp_s, frame in _records(reader):
+    for stamp_s, frame in _records(reader, str(getattr(stream, "name", "capture"))):
         datagram = _udp(_network_packet(link, frame), fragments)
         if datagram is not None:
             yield Datagram(round(stamp_s * 1_000_000_000), *datagram)
 
 
-def _records(reader: dpkt.pcap.Reader) -> Iterator[tuple[float, bytes]]:
+def _records(reader: dpkt.pcap.Reader, name: str) -> Iterator[tuple[float, bytes]]:
     """What the container holds, up to where it is cut or damaged."""
-    records = iter(reader)
+    records, count = iter(reader), 0
     while True:
         try:
-            yield next(records)
-        except (StopIteration, ValueError, dpkt.Error, struct.error, EOFError, OSError):
+            record = next(records)
+        except StopIteration:
             return
+        except _DAMAGE as error:
+            log.warning("%s: cut or damaged behind packet %d (%s); the rest is left out", name, count, _words(error))
+            return
+        count += 1
+        yield record
+
+
+def _words(error: Exception) -> str:
+    """What an error says; its type where it says nothing."""
+    return str(error) or type(error).__name__
 
 
 def _network_packet(link: int, frame: bytes) -> bytes:
@@ -138,7 +154,7 @@ def _ipv6(packet: bytes, fragments: Fragments) -> bytes | None:
     body = packet[40 : 40 + length if length else None]
     if following == _UDP:
         return body
-    if following != _IPV6_FRAGMENT or body[0] != _UDP:
+    if following != _IPV6_FRAGMENT or len(body) < 8 or body[0] != _UDP:
         return None
     flags, identity = struct.unpack_from(">HI", body, 2)
     return fragments.add((packet[8:40], identity), flags & 0xFFF8, bool(flags & 1), body[8:])

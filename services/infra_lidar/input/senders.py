@@ -78,7 +78,7 @@ def _kept(path: Path) -> Iterator[Datagram]:
                 if counts[key] <= MAX_KEPT:
                     yield datagram
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from None
+        raise ConfigError(f"{path}: {error.strerror or error}") from None
     except CaptureError as error:
         raise ConfigError(f"{path}: {error}") from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import io
 import struct
@@ -10,11 +11,14 @@ from itertools import islice
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from common.bus.status import Report
 from common.config import ConfigError
 from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.input.captures import read_capture
+from services.infra_lidar.input.captures import CaptureError, read_capture
+from services.infra_lidar.input.senders import print_senders
 from services.infra_lidar.input.sensors import model_of
 from services.infra_lidar.input.source import open_source
 from tests.infra_lidar.made_packets import metadata, vls_packet
@@ -118,6 +122,53 @@ def test_fragments_of_ipv6_are_joined() -> None:
 def test_a_capture_that_is_cut_gives_what_is_whole(data: bytes) -> None:
     assert len(list(read_capture(io.BytesIO(data[:-9])))) <= 2
     assert next(iter(read_capture(io.BytesIO(data[: 9 * len(data) // 10])))).payload == b"first"
+
+
+# --- damage ---
+
+ZIPPED = gzip.compress(pcap(*[ethernet(ipv4(bytes([k, 91 * k % 256, 57 * k % 256]) * 40)) for k in range(40)]), mtime=0)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (ZIPPED[:8], r"damaged one \(Compressed file ended"),
+        (ZIPPED[:30], r"damaged one \(Compressed file ended"),
+        (b"\x1f\x8bjunk of some length", r"damaged one \(Unknown compression method"),
+        (ZIPPED[:10] + b"\xff" * 40, r"damaged one \(Error -3 while decompressing"),
+        (pcapng(FIRST)[:8], r"damaged one \(got 8, 24 needed"),
+    ],
+    ids=["cut in the head", "cut in the data", "junk", "damaged data", "pcapng cut"],
+)
+def test_damage_at_the_beginning_is_told_by_the_service_and_by_look(tmp_path: Path, data: bytes, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        source(tmp_path, data, "short.pcap.gz")
+    with pytest.raises(ConfigError, match=rf"short\.pcap\.gz: .*{words}"):
+        print_senders(str(tmp_path / "short.pcap.gz"), 1.0)
+
+
+def test_damage_farther_on_ends_the_capture_and_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    at = len(ZIPPED) // 2
+    damaged = ZIPPED[:at] + bytes(80) + ZIPPED[at + 80 :]
+    assert len(list(read_capture(io.BytesIO(damaged)))) < 40
+    assert "cut or damaged behind packet" in caplog.text
+    assert "the rest is left out" in caplog.text
+
+
+@settings(max_examples=200, deadline=None)
+@given(share=st.floats(0, 1), wrong=st.binary(max_size=8), cut=st.booleans())
+def test_a_damaged_gzip_is_read_or_refused(share: float, wrong: bytes, cut: bool) -> None:
+    at = int(share * len(ZIPPED))
+    damaged = ZIPPED[:at] if cut else ZIPPED[:at] + wrong + ZIPPED[at + len(wrong) :]
+    with contextlib.suppress(CaptureError):
+        assert len(list(read_capture(io.BytesIO(damaged)))) <= 40
+
+
+@pytest.mark.parametrize("length", range(8))
+def test_a_fragment_of_ipv6_without_its_whole_header_is_left_out(length: int) -> None:
+    short = ipv6(bytes([17, 0, 0, 1, 0, 0, 0, 7])[:length], following=44)
+    frames = [ethernet(short + bytes(8)), FIRST]  # with padding of the link layer
+    assert [datagram.payload for datagram in read_capture(io.BytesIO(pcap(*frames)))] == [b"first"]
 
 
 class Endless(io.RawIOBase):
