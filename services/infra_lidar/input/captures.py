@@ -27,6 +27,7 @@ _BARE_IP_AT = {0: 4, 12: 0, 14: 0, 101: 0, 228: 0, 229: 0}
 _VLAN_TYPES = (0x8100, 0x88A8, 0x9100)
 _UDP, _IPV6_FRAGMENT = 17, 44
 _MAX_FRAGMENTED = 64  # packets that wait for the rest of their fragments
+_FRAGMENTS_WAIT_NS = 1_000_000_000
 
 
 class CaptureError(ValueError):
@@ -65,9 +66,10 @@ def read_capture(stream: BinaryIO) -> Iterator[Datagram]:
         raise CaptureError(f"link layer {link} is not known")
     fragments = Fragments()
     for stamp_s, frame in _records(reader, str(getattr(stream, "name", "capture"))):
-        datagram = _udp(_network_packet(link, frame), fragments)
+        stamp_ns = round(stamp_s * 1_000_000_000)
+        datagram = _udp(_network_packet(link, frame), fragments, stamp_ns)
         if datagram is not None:
-            yield Datagram(round(stamp_s * 1_000_000_000), *datagram)
+            yield Datagram(stamp_ns, *datagram)
 
 
 def _records(reader: dpkt.pcap.Reader, name: str) -> Iterator[tuple[float, bytes]]:
@@ -102,35 +104,63 @@ def _network_packet(link: int, frame: bytes) -> bytes:
     return frame[at:] if ether_type in (0x0800, 0x86DD) else b""
 
 
-class Fragments:
-    """IP packets that came in parts, until the last part is there; the oldest are given up when there are too many."""
+class _Parts:
+    """The parts of one IP packet, by their offset. length: of the whole, None until its last part is there."""
 
     def __init__(self) -> None:
-        self._parts: dict[tuple[bytes, int], dict[int, bytes]] = {}
-        self._length: dict[tuple[bytes, int], int] = {}
+        self.by_offset: dict[int, bytes] = {}
+        self.length: int | None = None
+        self.newest_ns = 0
 
-    def add(self, key: tuple[bytes, int], offset: int, more: bool, part: bytes) -> bytes | None:
-        """One part at its offset; the whole when it is complete, else None."""
-        parts = self._parts.setdefault(key, {})
-        parts[offset] = part
+    def whole(self) -> bytes | None:
+        """All parts joined, once there is no gap between them."""
+        at, ordered = 0, sorted(self.by_offset.items())
+        for offset, part in ordered:
+            if offset != at:
+                return None
+            at += len(part)
+        return b"".join(part for _, part in ordered) if at == self.length else None
+
+
+class Fragments:
+    """IP packets that came in parts, until the last part is there; the oldest are given up when there are too many.
+
+    A sender uses the same identity again after 65536 packets. So parts that wait are forgotten when another packet
+    begins with their identity, or when nothing has come for them for ``_FRAGMENTS_WAIT_NS``.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: dict[tuple[bytes, int], _Parts] = {}
+
+    def add(self, key: tuple[bytes, int], offset: int, more: bool, part: bytes, stamp_ns: int) -> bytes | None:
+        """One part at its offset, captured at UTC ns; the whole when it is complete, else None."""
+        parts = self._waiting.get(key)
+        if parts is None or self._is_of_another(parts, offset, part, stamp_ns):
+            self._waiting.pop(key, None)  # so that the new one is the newest of those that wait
+            parts = self._waiting[key] = _Parts()
+        parts.by_offset[offset] = part
+        parts.newest_ns = stamp_ns
         if not more:
-            self._length[key] = offset + len(part)
-        if key in self._length and sum(map(len, parts.values())) >= self._length[key]:
-            self._forget(key)
-            return b"".join(parts[at] for at in sorted(parts))
-        if len(self._parts) > _MAX_FRAGMENTED:
-            self._forget(next(iter(self._parts)))
-        return None
+            parts.length = offset + len(part)
+        whole = parts.whole()
+        if whole is not None:
+            self._waiting.pop(key)
+        elif len(self._waiting) > _MAX_FRAGMENTED:
+            self._waiting.pop(next(iter(self._waiting)))
+        return whole
 
-    def _forget(self, key: tuple[bytes, int]) -> None:
-        self._parts.pop(key)
-        self._length.pop(key, None)
+    @staticmethod
+    def _is_of_another(parts: _Parts, offset: int, part: bytes, stamp_ns: int) -> bool:
+        """Whether the part is of another packet than those that wait. A mirror port may send the same part twice."""
+        begins_anew = offset == 0 and parts.by_offset.get(0, part) != part
+        return begins_anew or abs(stamp_ns - parts.newest_ns) > _FRAGMENTS_WAIT_NS
 
 
-def _udp(packet: bytes, fragments: Fragments) -> tuple[str, int, bytes] | None:
+def _udp(packet: bytes, fragments: Fragments, stamp_ns: int) -> tuple[str, int, bytes] | None:
     """(sender, port, payload) of a complete UDP packet, else None."""
     version = packet[0] >> 4 if packet else 0
-    body = _ipv4(packet, fragments) if version == 4 else _ipv6(packet, fragments) if version == 6 else None
+    read = {4: _ipv4, 6: _ipv6}.get(version)
+    body = read(packet, fragments, stamp_ns) if read else None
     if body is None or len(body) < 8:
         return None
     port, length = struct.unpack_from(">HH", body, 2)
@@ -138,16 +168,18 @@ def _udp(packet: bytes, fragments: Fragments) -> tuple[str, int, bytes] | None:
     return str(ip_address(sender)), port, body[8 : length or None]
 
 
-def _ipv4(packet: bytes, fragments: Fragments) -> bytes | None:
-    if len(packet) < 28 or packet[9] != _UDP:
+def _ipv4(packet: bytes, fragments: Fragments, stamp_ns: int) -> bytes | None:
+    if len(packet) < 20 or packet[9] != _UDP:
         return None
     total, identity, flags = struct.unpack_from(">HHH", packet, 2)
     body = packet[(packet[0] & 15) * 4 : total or None]  # 0: the network card cut the packet, and left no length
     offset, more = (flags & 0x1FFF) * 8, bool(flags & 0x2000)
-    return fragments.add((packet[12:20], identity), offset, more, body) if offset or more else body
+    if not (offset or more):
+        return body
+    return fragments.add((packet[12:20], identity), offset, more, body, stamp_ns)
 
 
-def _ipv6(packet: bytes, fragments: Fragments) -> bytes | None:
+def _ipv6(packet: bytes, fragments: Fragments, stamp_ns: int) -> bytes | None:
     if len(packet) < 48:
         return None
     length, following = struct.unpack_from(">HB", packet, 4)
@@ -157,4 +189,4 @@ def _ipv6(packet: bytes, fragments: Fragments) -> bytes | None:
     if following != _IPV6_FRAGMENT or len(body) < 8 or body[0] != _UDP:
         return None
     flags, identity = struct.unpack_from(">HI", body, 2)
-    return fragments.add((packet[8:40], identity), flags & 0xFFF8, bool(flags & 1), body[8:])
+    return fragments.add((packet[8:40], identity), flags & 0xFFF8, bool(flags & 1), body[8:], stamp_ns)

@@ -114,6 +114,47 @@ def test_fragments_of_ipv6_are_joined() -> None:
     assert datagram.payload == bytes(range(200))
 
 
+def fragment(payload: bytes, start: int, stop: int) -> bytes:
+    """Bytes of a UDP datagram as a fragment of IPv4, on a link without padding; all have the same identity."""
+    body = udp(payload)
+    flags = start // 8 | (0x2000 if stop < len(body) else 0)
+    head = struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + len(body[start:stop]), 7, flags, 64, 17, 0, b"\1" * 4, b"\2" * 4)
+    return ethernet(head + body[start:stop])
+
+
+OLD, NEW = bytes([1]) * 200, bytes([2]) * 200
+OLD_PARTS, NEW_PARTS = ([fragment(data, *part) for part in ((0, 96), (96, 192), (192, 208))] for data in (OLD, NEW))
+
+
+@pytest.mark.parametrize(
+    ("parts", "wait_s", "payloads"),
+    [
+        (OLD_PARTS[1:] + NEW_PARTS * 2, 30, [NEW, NEW]),  # the identity comes again, the first of the old one was lost
+        (OLD_PARTS[:1] + NEW_PARTS[1:], 30, []),
+        (OLD_PARTS[:2] + NEW_PARTS * 2, 0, [NEW, NEW]),  # at once, and the last of the old one was lost
+        (OLD_PARTS[:1] + NEW_PARTS[:1] + NEW_PARTS[2:], 0, []),  # the second was lost of both
+        (NEW_PARTS[:1] * 2 + NEW_PARTS[1:], 0, [NEW]),  # a mirror port sends it twice
+        (NEW_PARTS[1:] + NEW_PARTS[:1], 0, [NEW]),
+    ],
+    ids=["old first lost", "both lost", "old last lost", "old second lost", "doubled", "first comes last"],
+)
+def test_fragments_of_two_packets_are_not_joined(parts: list[bytes], wait_s: int, payloads: list[bytes]) -> None:
+    data = bytearray(pcap(*parts))
+    at = 24
+    for number, part in enumerate(parts):
+        later = number >= len([one for one in parts if one in OLD_PARTS])
+        struct.pack_into("<I", data, at, 100 + (wait_s if later else 0))
+        at += 16 + len(part)
+    assert [datagram.payload for datagram in read_capture(io.BytesIO(data))] == payloads
+
+
+@pytest.mark.parametrize("rest", range(1, 9))
+def test_a_last_fragment_of_few_bytes_is_read(rest: int) -> None:
+    payload = bytes(range(88)) + bytes(rest)
+    (datagram,) = read_capture(io.BytesIO(pcap(fragment(payload, 0, 96), fragment(payload, 96, 96 + rest))))
+    assert datagram.payload == payload
+
+
 @pytest.mark.parametrize(
     "data",
     [pcap(FIRST, FIRST), pcapng(FIRST, FIRST), gzip.compress(pcap(FIRST, FIRST), mtime=0)],
