@@ -115,7 +115,7 @@ def packets_of(message: Any, recorded_ns: int) -> Iterator[tuple[int, bytes]]:
         BagError: it is defined in the bag, and has none of the shapes above.
     """
     with _damage():
-        for one in getattr(message, "packets", None) or [message]:
+        for one in message.packets if hasattr(message, "packets") else [message]:  # a scan may be empty
             data = one.buf if hasattr(one, "buf") else one.data
             stamp_ns = _ns(one.stamp) if hasattr(one, "stamp") else 0
             yield stamp_ns or recorded_ns, np.asarray(data, np.uint8).tobytes()[: getattr(one, "size", None)]
