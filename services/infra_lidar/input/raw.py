@@ -34,10 +34,13 @@ def publish_raw(raw: RawTap, stamp_ns: int, frame: Frame) -> None:
 def recorded_frames(url: SourceUrl) -> Iterator[tuple[int, Frame]]:
     """Frames of ``spotter record --raw infra_lidar``, decoded from their packets again.
 
+    Each with the sensor and calibration it was recorded with; a service that starts anew may have others.
+
     Raises:
         ConfigError: no recording, one without raw bytes of this sensor, or of a kind that is not known.
     """
     decoder: PacketDecoder | None = None
+    sensor: tuple[str, str] | None = None
     for piece in replayed(url, INFRA_RAW):
         try:
             quality = msgspec.convert(piece.about.get("quality", {}), FrameQuality)
@@ -45,7 +48,8 @@ def recorded_frames(url: SourceUrl) -> Iterator[tuple[int, Frame]]:
                 yield piece.stamp_ns, Frame(piece.data, piece.received_ns, quality)
                 continue
             metadata = str(piece.about.get("metadata", ""))
-            decoder = decoder or decoder_of(piece.kind, metadata)
+            if decoder is None or sensor != (piece.kind, metadata):  # also where the service has started anew
+                decoder, sensor = decoder_of(piece.kind, metadata), (piece.kind, metadata)
             packets = [packet.tobytes() for packet in piece.data]
             returns = decode_revolution(piece.data, decoder)
         except (msgspec.ValidationError, MetadataError, CalibrationError, KeyError) as error:
