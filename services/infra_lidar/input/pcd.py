@@ -24,20 +24,11 @@ def parse_pcd(data: bytes) -> np.ndarray:
         FrameError: damaged, or the header contradicts itself or lacks a coordinate.
     """
     header, body = _pcd_header(data)
+    names, types, counts = _layout(header)
     count = _point_count(header)
-    names = [name.lower() for name in header["FIELDS"]]
-    missing = [axis for axis in "xyz" if axis not in names]
-    if missing:
-        raise FrameError(f"no field {' and '.join(missing)} among {' '.join(header['FIELDS'])}")
-    counts = [int(c) for c in header.get("COUNT", ["1"] * len(names))]
-    types = [_type_of(t, int(s)) for t, s in zip(header["TYPE"], header["SIZE"], strict=True)]
     kind = header["DATA"][0]
     if kind == "ascii":
-        if not body.strip():
-            raise FrameError("no points behind the header")
-        starts = np.concatenate([[0], np.cumsum(counts)])
-        table = np.loadtxt(io.BytesIO(body), dtype=np.float64, comments=None, ndmin=2, max_rows=count)
-        fields = {name: table[:, start] for name, start in zip(names, starts, strict=False)}
+        fields = _ascii_columns(body, names, counts, count)
     elif kind == "binary":
         record = np.dtype([(n, t, (c,)) for n, t, c in zip(_unique(names), types, counts, strict=True)])
         if len(body) < count * record.itemsize:
@@ -69,15 +60,47 @@ def point_columns(xyz: Sequence[np.ndarray], intensity: np.ndarray | None, ring:
     return points
 
 
+def _layout(header: dict[str, list[str]]) -> tuple[list[str], list[str], list[int]]:
+    """Names, numpy types and counts of the fields: three lists of one length."""
+    for line in ("FIELDS", "SIZE", "TYPE", "DATA"):
+        if not header.get(line):
+            raise FrameError(f"no {line} line in the header")
+    names = [name.lower() for name in header["FIELDS"]]
+    for line in ("SIZE", "TYPE", "COUNT"):
+        if line in header and len(header[line]) != len(names):
+            raise FrameError(f"{len(names)} FIELDS, {len(header[line])} {line}S")
+    missing = [axis for axis in "xyz" if axis not in names]
+    if missing:
+        raise FrameError(f"no field {' and '.join(missing)} among {' '.join(header['FIELDS'])}")
+    types = [_type_of(letter, size) for letter, size in zip(header["TYPE"], _whole(header, "SIZE"), strict=True)]
+    counts = _whole(header, "COUNT") if "COUNT" in header else [1] * len(names)
+    for axis in "xyz":
+        times = sum(count for name, count in zip(names, counts, strict=True) if name == axis)
+        if times != 1:
+            raise FrameError(f"{times} values of {axis} for each point, 1 expected")
+    return names, types, counts
+
+
+def _whole(header: dict[str, list[str]], line: str) -> list[int]:
+    """The numbers of a line, at least one."""
+    words = header[line]
+    if not words or not all(word.isdigit() for word in words):
+        raise FrameError(f"{line}: expected whole numbers, found {' '.join(words) or 'nothing'}")
+    return [int(word) for word in words]
+
+
 def _point_count(header: dict[str, list[str]]) -> int:
     """Number of points; WIDTH x HEIGHT and POINTS have to agree."""
     counts = {}
     if "WIDTH" in header:
-        counts["WIDTH x HEIGHT"] = int(header["WIDTH"][0]) * int(header.get("HEIGHT", ["1"])[0])
+        height = _whole(header, "HEIGHT")[0] if "HEIGHT" in header else 1
+        counts["WIDTH x HEIGHT"] = _whole(header, "WIDTH")[0] * height
     if "POINTS" in header:
-        counts["POINTS"] = int(header["POINTS"][0])
+        counts["POINTS"] = _whole(header, "POINTS")[0]
     if len(set(counts.values())) != 1:
-        raise FrameError("; ".join(f"{name} says {count} points" for name, count in counts.items()) or "no WIDTH")
+        raise FrameError(
+            "; ".join(f"{name} says {count} points" for name, count in counts.items()) or "no WIDTH line in the header"
+        )
     count = next(iter(counts.values()))
     if not 0 < count <= MAX_POINTS:
         raise FrameError(f"{count} points")
@@ -109,18 +132,38 @@ def _unique(names: list[str]) -> list[str]:
     return [f"{name}{i}" if names.count(name) > 1 else name for i, name in enumerate(names)]
 
 
+def _ascii_columns(body: bytes, names: list[str], counts: list[int], count: int) -> dict[str, np.ndarray]:
+    lines = [line for line in body.splitlines() if line.strip()][:count]
+    if len(lines) < count:
+        raise FrameError(f"{count} points are announced, {len(lines)} lines follow")
+    table = np.loadtxt(io.BytesIO(b"\n".join(lines)), dtype=np.float64, comments=None, ndmin=2)
+    if table.shape[1] != sum(counts):
+        raise FrameError(f"{table.shape[1]} numbers a line, {sum(counts)} expected")
+    starts = [sum(counts[:k]) for k in range(len(counts))]
+    return {name: table[:, start] for name, start, repeat in zip(names, starts, counts, strict=True) if repeat}
+
+
 def _pcd_columns(
     body: bytes, names: list[str], types: list[str], counts: list[int], count: int
 ) -> dict[str, np.ndarray]:
+    """Columns of the format binary_compressed: two sizes, then all values of a field, field after field."""
+    if len(body) < 8:
+        raise FrameError(f"the sizes of the compressed data are 8 bytes, {len(body)} follow")
     packed, size = struct.unpack_from("<II", body)
+    if len(body) - 8 < packed:
+        raise FrameError(f"{packed} compressed bytes are announced, {len(body) - 8} follow")
     expected = sum(np.dtype(t).itemsize * c for t, c in zip(types, counts, strict=True)) * count
     if size != expected:
         raise FrameError(f"{size} bytes unpacked, {expected} expected")
-    raw = lzf_decompress(body[8 : 8 + packed], size)
+    try:
+        raw = lzf_decompress(body[8 : 8 + packed], size)
+    except IndexError:
+        raise FrameError("the compressed data end within a match") from None
     fields, position = {}, 0
     for name, kind, repeat in zip(names, types, counts, strict=True):
-        fields[name] = np.frombuffer(raw, kind, count * repeat, position)[:count]
-        position += np.dtype(kind).itemsize * count * repeat
+        if repeat:
+            fields[name] = np.frombuffer(raw, kind, count * repeat, position)[::repeat]
+            position += np.dtype(kind).itemsize * count * repeat
     return fields
 
 

@@ -235,9 +235,37 @@ def test_pcd_with_eight_byte_time_and_a_padding_of_nothing():
         ((b"POINTS 2", b"POINTS 1"), "WIDTH x HEIGHT says 2 points; POINTS says 1 points"),
         ((b"FIELDS x y z intensity ring", b"FIELDS x y height intensity ring"), "no field z among x y height"),
         ((b"TYPE F F F F U", b"TYPE F F F F Q"), "no field of PCD has type Q and 2 bytes"),
+        ((b"FIELDS x y z intensity ring\n", b""), "no FIELDS line in the header"),
+        ((b"TYPE F F F F U\n", b""), "no TYPE line in the header"),
+        ((b"SIZE 4 4 4 4 2\n", b""), "no SIZE line in the header"),
+        ((b"DATA ascii", b"DATA"), "no DATA line in the header"),
+        ((b"TYPE F F F F U", b"TYPE F F"), "5 FIELDS, 2 TYPES"),
+        ((b"SIZE 4 4 4 4 2", b"SIZE 4 4 4 4 2 2"), "5 FIELDS, 6 SIZES"),
+        ((b"COUNT 1 1 1 1 1", b"COUNT 1 1 1"), "5 FIELDS, 3 COUNTS"),
+        ((b"COUNT 1 1 1 1 1", b"COUNT 1 1 0 1 1"), "0 values of z for each point, 1 expected"),
+        ((b"FIELDS x y z intensity", b"FIELDS x y z z"), "2 values of z for each point, 1 expected"),
+        ((b"SIZE 4", b"SIZE four"), "SIZE: expected whole numbers, found four 4 4 4 2"),
+        ((b"WIDTH 2", b"WIDTH"), "WIDTH: expected whole numbers, found nothing"),
+        ((b"POINTS 2", b"POINTS -2"), "POINTS: expected whole numbers, found -2"),
+        ((b"1 2 3 40 5\n-1 0.5 0.25 255 127", b"1 2\n3 4"), "2 numbers a line, 5 expected"),
+        ((b"1 2 3 40 5\n", b"\n"), "2 points are announced, 1 lines follow"),
     ],
 )
 def test_a_pcd_that_contradicts_itself_is_refused_in_words(change, words):
+    assert change[0] in _pcd("ascii", _text())
     with pytest.raises(FrameError) as told:
         parse_frame("a.pcd", _pcd("ascii", _text()).replace(*change))
     assert words in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (b"1234", "the sizes of the compressed data are 8 bytes, 4 follow"),
+        (struct.pack("<II", 9, 36) + b"abc", "9 compressed bytes are announced, 3 follow"),
+        (struct.pack("<II", 3, 36) + b"\0a\x20", "the compressed data end within a match"),
+    ],
+)
+def test_a_compressed_pcd_that_is_cut_is_refused_in_words(body, words):
+    with pytest.raises(FrameError, match=words):
+        parse_frame("a.pcd", _pcd("binary_compressed", body))
