@@ -36,7 +36,7 @@ def parse_las(data: bytes) -> np.ndarray:
         columns = [np.asarray(getattr(cloud, axis), float) for axis in "xyz"]
         intensity = np.asarray(cloud.intensity, float)
         ring = np.asarray(cloud["ring"], float) if "ring" in cloud.point_format.dimension_names else None
-    except (laspy.errors.LaspyException, ValueError, LookupError, OSError, struct.error, OverflowError) as error:
+    except (laspy.errors.LaspyException, ValueError, LookupError, OSError, struct.error, ArithmeticError) as error:
         raise FrameError(f"damaged LAS file ({error})") from None
     except RuntimeError as error:  # of the decompressor
         raise FrameError(f"damaged LAZ file ({error})") from None

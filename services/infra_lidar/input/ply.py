@@ -94,7 +94,7 @@ def _binary(body: bytes, before: list[_Element], vertex: _Element, order: str) -
 
 def _ascii(body: bytes, before: list[_Element], vertex: _Element) -> np.ndarray:
     skipped = sum(element.number for element in before)
-    lines = body.splitlines()[skipped : skipped + vertex.number]
+    lines = [line for line in body.splitlines() if line.strip()][skipped : skipped + vertex.number]
     if len(lines) < vertex.number:
         raise FrameError(f"{vertex.number} points are announced, {len(lines)} lines follow")
     table = np.loadtxt(io.BytesIO(b"\n".join(lines)), dtype=np.float64, comments=None, ndmin=2)

@@ -7,11 +7,14 @@ columns, one without intensity and rings three. Nothing is guessed: numbers that
 from __future__ import annotations
 
 import io
+import lzma
 import struct
+import tokenize
 import zipfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -27,6 +30,12 @@ LAYOUTS = {3: ("x", "y", "z"), 4: ("x", "y", "z", "intensity"), 5: ("x", "y", "z
 PERIODS = range(3, 9)  # values a row that are looked for in a .bin
 ENOUGH_VALUES = 1000  # fewer do not tell how long the rows are
 CLEAR_SHARE = 0.97  # of the best score: a multiple of the period scores as well, a divisor does not
+NPZ_COLUMNS = ("intensity", "reflectivity", "ring", "range_mm")  # a value for each point
+NPZ_ARRAYS = ("xyz", "xyz_cm", "stamp", *NPZ_COLUMNS)
+# What the readers of numpy and zipfile raise on damaged bytes, as documented and as seen with bytes damaged at random.
+_DAMAGE = (ValueError, TypeError, LookupError, ArithmeticError, OSError, EOFError, struct.error, MemoryError)
+_DAMAGE_OF_ZIP = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, RuntimeError)  # the last: encrypted, or too new
+_DAMAGE_OF_NUMPY = (*_DAMAGE, SyntaxError, tokenize.TokenError, RecursionError)  # the header is written in Python
 
 
 def frame_files(folder: Path) -> list[Path]:
@@ -63,8 +72,8 @@ def parse_frame(name: str, data: bytes, columns: tuple[str, ...] = ()) -> FileFr
             return FileFrame(in_metres(frame.points), frame.stamp_s)
     except FrameError as error:
         raise FrameError(f"{name}: {error}") from None
-    except (ValueError, LookupError, OSError, EOFError, struct.error, zipfile.BadZipFile, zlib.error) as error:
-        raise FrameError(f"{name}: {error}") from error
+    except (*_DAMAGE, *_DAMAGE_OF_ZIP) as error:
+        raise FrameError(f"{name}: damaged ({str(error) or type(error).__name__})") from error
 
 
 def _parse(name: str, data: bytes, columns: tuple[str, ...]) -> FileFrame:
@@ -74,9 +83,9 @@ def _parse(name: str, data: bytes, columns: tuple[str, ...]) -> FileFrame:
     if suffix in POINTS_OF:
         return FileFrame(POINTS_OF[suffix](data), _stamp_in_name(name))
     if suffix == ".npy":
-        rows = np.load(io.BytesIO(data), allow_pickle=False)
-        if rows.ndim != 2 or rows.dtype.kind not in "fiu":
-            raise FrameError(f"an array of shape {rows.shape} and type {rows.dtype}, expected (N, 3..) numbers")
+        rows = _numbers(io.BytesIO(data), "the array")
+        if rows.ndim != 2:
+            raise FrameError(f"an array of shape {rows.shape}, expected (N, 3..)")
         return FileFrame(_named(rows.astype(np.float32), columns), _stamp_in_name(name))
     return FileFrame(parse_bin(data, columns), _stamp_in_name(name))
 
@@ -182,36 +191,64 @@ def _named(rows: np.ndarray, columns: tuple[str, ...]) -> np.ndarray:
 
 def parse_npz(data: bytes) -> FileFrame:
     """``xyz`` (..., 3) and optionally ``intensity ring stamp range_mm reflectivity``; or ``xyz_cm`` int16."""
-    if data[:2] != b"PK":
+    if data[:4] != b"PK\3\4":
         raise FrameError("not an .npz file")
-    with np.load(io.BytesIO(data), allow_pickle=False) as file:
-        if "xyz" in file:
-            xyz = np.asarray(file["xyz"], np.float32)
-        elif "xyz_cm" in file:
-            xyz = np.asarray(file["xyz_cm"], np.float32) / np.float32(100.0)
-        else:
-            raise FrameError(f"no array 'xyz' among {', '.join(file.files)}")
-        if xyz.ndim < 2 or xyz.shape[-1] != 3 or xyz.size > 3 * MAX_POINTS:
-            raise FrameError(f"xyz has shape {xyz.shape}, expected (..., 3)")
-        shape = xyz.shape[:-1]
-        intensity = next((file[n] for n in ("intensity", "reflectivity") if n in file), None)
-        ring = file.get("ring")
-        if ring is None and len(shape) == 2:  # an organised cloud: rows are beams
-            ring = np.broadcast_to(np.arange(shape[0])[:, None], shape)
-        points = point_columns(list(xyz.reshape(-1, 3).T), _column(intensity, shape), _column(ring, shape))
-        if "range_mm" in file:
-            points = points[file["range_mm"].ravel() > 0]
-        stamp_s = float(file["stamp"]) if "stamp" in file else None
-    return FileFrame(points, stamp_s)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        held = [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
+        arrays = {name: _numbers(archive.open(f"{name}.npy"), name) for name in NPZ_ARRAYS if name in held}
+    if "xyz" in arrays:
+        xyz = arrays["xyz"].astype(np.float32)
+    elif "xyz_cm" in arrays:
+        xyz = arrays["xyz_cm"].astype(np.float32) / np.float32(100.0)
+    else:
+        raise FrameError(f"no array 'xyz' among {', '.join(held)}")
+    if xyz.ndim < 2 or xyz.shape[-1] != 3 or xyz.size > 3 * MAX_POINTS:
+        raise FrameError(f"xyz has shape {xyz.shape}, expected (..., 3)")
+    shape = xyz.shape[:-1]
+    columns = {name: _column(arrays[name], shape, name) for name in NPZ_COLUMNS if name in arrays}
+    if "ring" not in columns and len(shape) == 2:  # an organised cloud: rows are beams
+        columns["ring"] = np.repeat(np.arange(shape[0]), shape[1])
+    intensity = columns.get("intensity", columns.get("reflectivity"))
+    points = point_columns(list(xyz.reshape(-1, 3).T), _clipped(intensity), _clipped(columns.get("ring")))
+    if "range_mm" in columns:
+        points = points[columns["range_mm"] > 0]
+    return FileFrame(points, _stamp(arrays.get("stamp")))
 
 
-def _column(values: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray | None:
-    """(N,) of an array with a value for each point; None without one."""
+def _numbers(stream: IO[bytes], name: str) -> np.ndarray:
+    """An array as numpy writes it, of any shape.
+
+    Raises:
+        FrameError: damaged, or not of numbers.
+    """
+    try:
+        array = np.lib.format.read_array(stream, allow_pickle=False)
+    except _DAMAGE_OF_NUMPY as error:
+        what = str(error.args[0] if error.args else "") or type(error).__name__
+        raise FrameError(f"{name} is damaged, or not of numbers ({what})") from None
+    if array.dtype.kind not in "fiu":
+        raise FrameError(f"{name} is of type {array.dtype}, expected numbers")
+    return array
+
+
+def _column(values: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
+    """(N,) of an array with a value for each point."""
+    if values.shape != shape:
+        raise FrameError(f"{name} has shape {values.shape}, expected {shape}, a value for each point")
+    return values.ravel()
+
+
+def _clipped(values: np.ndarray | None) -> np.ndarray | None:
+    return None if values is None else np.clip(values, 0, 255)
+
+
+def _stamp(values: np.ndarray | None) -> float | None:
+    """UTC seconds of the frame."""
     if values is None:
         return None
-    if values.shape != shape:
-        raise FrameError(f"a column of shape {values.shape} does not belong to points {shape}")
-    return np.clip(values, 0, 255).ravel()
+    if values.size != 1:
+        raise FrameError(f"stamp has shape {values.shape}, expected one number, the UTC seconds of the frame")
+    return float(values.ravel()[0])
 
 
 def _stamp_in_name(name: str) -> float | None:

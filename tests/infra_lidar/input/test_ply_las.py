@@ -72,6 +72,7 @@ def test_ply_without_intensity_and_ring() -> None:
         ),
         (ply("ascii").replace(b"element vertex 2", b"element vertex 9"), "9 points are announced, 3 lines follow"),
         (ply("ascii").replace(b"property ushort ring\n", b""), "5 numbers a line, 4 properties"),
+        (ply("ascii").replace(b"1 2 3 40 5\n", b"\n \n"), "the number of columns changed"),
         (ply().replace(b"uchar intensity", b"list uchar int many"), "vertex.many is a list"),
         (ply().replace(b"element vertex", b"element point"), "no element vertex"),
         (ply().replace(b"binary_little_endian", b"xml"), "format xml: expected"),
@@ -140,6 +141,7 @@ def test_without_the_extras_they_are_named(monkeypatch: pytest.MonkeyPatch) -> N
         (lambda: b"", "no header of a LAS file"),
         (lambda: b"LASF" + bytes(300), "0 points"),
         (lambda: las()[:-10], "a.las: "),
+        (lambda: las()[:283] + bytes(2) + las()[285:], "damaged LAS file (integer division"),  # a dimension of no bytes
         (lambda: las()[:100] + b"\xff" * 4 + las()[104:], "4294967295 records are announced"),
         (lambda: las(np.add(ROWS, [385_000.0, 5_819_000.0, 40.0, 0.0, 0.0])), "coordinates of a map? The sensor"),
     ],

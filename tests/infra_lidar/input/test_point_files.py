@@ -56,6 +56,28 @@ def test_npz_of_an_organised_cloud_keeps_returns_only_and_takes_rows_for_rings()
     assert (frame.points[:, 3] == 255).all()
 
 
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        ({"stamp": np.arange(2.0)}, r"stamp has shape \(2,\), expected one number, the UTC seconds of the frame"),
+        ({"stamp": np.array("noon")}, "stamp is of type <U4, expected numbers"),
+        ({"ring": np.array(["a", "b"])}, "ring is of type <U1, expected numbers"),
+        ({"intensity": np.ones(3)}, r"intensity has shape \(3,\), expected \(2,\), a value for each point"),
+        ({"range_mm": np.ones(3)}, r"range_mm has shape \(3,\), expected \(2,\), a value for each point"),
+        ({"xyz": np.full((2, 3), "a")}, "xyz is of type <U1, expected numbers"),
+        ({"xyz": np.full((2, 3), None)}, "xyz is damaged, or not of numbers"),
+    ],
+)
+def test_npz_of_other_arrays_is_refused_in_words(arrays, words):
+    with pytest.raises(FrameError, match=words):
+        parse_frame("a.npz", _npz(**({"xyz": ROWS[:, :3]} | arrays)))
+
+
+def test_npz_of_a_frame_beside_arrays_of_other_things():
+    data = _npz(xyz=ROWS[:, :3], stamp=np.array([12.5]), labels=np.array(["car", None]))
+    assert parse_frame("a.npz", data).stamp_s == 12.5
+
+
 def test_npz_in_centimetres():
     frame = parse_frame("a.npz", _npz(xyz_cm=np.array([[100, -250, 3]], np.int16)))
     assert np.allclose(frame.points, [[1.0, -2.5, 0.03]])
@@ -142,6 +164,56 @@ def test_truncated_files_are_refused_or_shorter(cut):
     data = _pcd("ascii", "\n".join(" ".join(f"{v:g}" for v in row) for row in ROWS).encode())
     with contextlib.suppress(FrameError):
         assert len(parse_frame("a.pcd", data[:cut]).points) <= 2
+
+
+def _npy(array, version=None):
+    buffer = io.BytesIO()
+    np.lib.format.write_array(buffer, array, version)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ("{'descr': '<f4', 'fortran_order': False, 'shape': (2, 5), ", "the array is damaged, or not of numbers"),
+        ("{'descr': '<f4', 'fortran_order': False, 'shape': (2, 5)) }", "the array is damaged, or not of numbers"),
+        ("{'descr': '<f4', 'fortran_order': False, 'shape': (2, 6), }", "the array is damaged, or not of numbers"),
+        ("{'descr': '<f4', 'fortran_order': False, 'shape': (-2, 5), }", "the array is damaged, or not of numbers"),
+        ("{'descr': '<U1', 'fortran_order': False, 'shape': (2, 5), }", "the array is of type <U1, expected numbers"),
+        ("{'descr': '<f4', 'fortran_order': False, 'shape': (10,), }", r"an array of shape \(10,\), expected \(N, 3"),
+    ],
+)
+def test_npy_of_a_wrong_header_is_refused_in_words(header, words):
+    text = header.ljust(117).encode() + b"\n"
+    data = b"\x93NUMPY\1\0" + struct.pack("<H", len(text)) + text + ROWS.tobytes()
+    with pytest.raises(FrameError, match=words):
+        parse_frame("a.npy", data)
+
+
+_DAMAGED = [
+    ("a.npy", _npy(ROWS)),
+    ("a.npy", _npy(ROWS.astype(int), (2, 0))),
+    ("a.npz", _npz(xyz=ROWS[:, :3], intensity=ROWS[:, 3], ring=ROWS[:, 4], stamp=np.float64(1.0))),
+    ("a.npz", _npz(xyz_cm=np.ones((2, 3), np.int16), range_mm=np.ones(2))),
+    ("a.pcd", _pcd("ascii", b"1 2 3 4 5\n1 2 3 4 5\n")),
+    ("a.pcd", _pcd("binary", bytes(36))),
+    ("a.pcd", _pcd("binary_compressed", struct.pack("<II", 38, 36) + _lzf_literals(bytes(36)))),
+]
+
+
+@pytest.mark.filterwarnings("ignore")  # numpy warns of headers that are no longer written like that
+@settings(max_examples=500, deadline=None)
+@given(
+    which=st.sampled_from(_DAMAGED),
+    changes=st.lists(st.tuples(st.integers(0, 2000), st.sampled_from([*b"\0\n (['9-", 255])), max_size=4),
+    cut=st.floats(0.1, 4.0),
+)
+def test_damaged_frames_are_read_or_refused(which, changes, cut):
+    name, data = which[0], bytearray(which[1])
+    for at, value in changes:
+        data[at % len(data)] = value
+    with contextlib.suppress(FrameError):
+        parse_frame(name, bytes(data[: int(cut * len(data))]))
 
 
 # --- nothing is guessed ---
