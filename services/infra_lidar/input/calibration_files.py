@@ -67,8 +67,9 @@ def asked_metadata(url: SourceUrl) -> str:
 
 
 def beside(path: Path, suffix: str) -> Path:
-    """``NAME`` with that suffix, of ``NAME.pcap`` or ``NAME.pcap.gz``."""
-    return path.with_name(path.name.split(".")[0] + suffix)
+    """``NAME`` with that suffix, of ``NAME.pcap`` or ``NAME.pcap.gz``; ``NAME`` may have dots, such as a date has."""
+    name = path.with_suffix("") if path.suffix.lower() == ".gz" else path
+    return name.with_suffix(suffix)
 
 
 def read_ouster(path: Path, url: SourceUrl) -> str:

@@ -75,6 +75,21 @@ def test_a_calibration_beside_the_capture_is_taken(street: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("capture", "beside"),
+    [
+        ("street.pcap", "street.csv"),
+        ("street.pcap.gz", "street.csv"),
+        ("street.PCAP.GZ", "street.csv"),
+        ("site.2024-05-01.pcap", "site.2024-05-01.csv"),
+        ("site.2024-05-01.pcapng.gz", "site.2024-05-01.csv"),
+        ("street", "street.csv"),
+    ],
+)
+def test_the_file_beside_a_capture_has_its_name(capture: str, beside: str) -> None:
+    assert calibration_files.beside(Path("folder") / capture, ".csv") == Path("folder") / beside
+
+
+@pytest.mark.parametrize(
     ("angles", "query", "words"),
     [
         (None, "", "give the sensor's own angle correction file with ?calibration=FILE"),
