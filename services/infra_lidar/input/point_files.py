@@ -1,7 +1,9 @@
 """Files of single frames to arrays: ``.npz .npy .bin .pcd .ply .las .laz``. Bytes in, (N, 3..5) float32 out; no I/O.
 
-The columns are x, y, z in metres in the sensor frame, intensity 0..255 and ring. A file without rings gives four
-columns, one without intensity and rings three. Nothing is guessed: numbers that do not bear out a layout are refused.
+The columns are x, y, z in metres in the sensor frame, intensity and ring. A file without rings gives four columns, one
+without intensity and rings three. Intensities of ``.bin .npy .pcd`` are as in the file; those of ``.npz .ply`` are
+clipped to 0..255, and those of ``.las .laz`` of 16 bits are brought to 8. Nothing is guessed: numbers that do not bear
+out a layout are refused.
 """
 
 from __future__ import annotations
@@ -24,12 +26,14 @@ from services.infra_lidar.input.ply import parse_ply
 
 POINTS_OF = {".pcd": parse_pcd, ".ply": parse_ply, ".las": parse_las, ".laz": parse_las}
 FRAME_SUFFIXES = (".npz", ".pcd", ".bin", ".npy", ".ply", ".las", ".laz")
+MODEL_FILE = "background.npz"  # which ``calibration.store`` writes
 ENOUGH_POINTS = 10_000  # to tell how far half of them are
 FARTHEST_MEDIAN_M = 400.0  # half of the points are farther: then these are no metres
 LAYOUTS = {3: ("x", "y", "z"), 4: ("x", "y", "z", "intensity"), 5: ("x", "y", "z", "intensity", "ring")}
 PERIODS = range(3, 9)  # values a row that are looked for in a .bin
 ENOUGH_VALUES = 1000  # fewer do not tell how long the rows are
 CLEAR_SHARE = 0.97  # of the best score: a multiple of the period scores as well, a divisor does not
+MAX_INTENSITY = 65535
 NPZ_COLUMNS = ("intensity", "reflectivity", "ring", "range_mm")  # a value for each point
 NPZ_ARRAYS = ("xyz", "xyz_cm", "stamp", *NPZ_COLUMNS)
 # What the readers of numpy and zipfile raise on damaged bytes, as documented and as seen with bytes damaged at random.
@@ -39,11 +43,9 @@ _DAMAGE_OF_NUMPY = (*_DAMAGE, SyntaxError, tokenize.TokenError, RecursionError) 
 
 
 def frame_files(folder: Path) -> list[Path]:
-    """The frames of the first suffix that the folder holds; ``background.npz`` is a model, not a frame."""
+    """The frames of the first suffix that the folder holds; ``background.npz``, the learned model, is none."""
     for suffix in FRAME_SUFFIXES:
-        names = sorted(
-            p for p in folder.iterdir() if p.suffix.lower() == suffix and not p.name.startswith("background")
-        )
+        names = sorted(p for p in folder.iterdir() if p.suffix.lower() == suffix and p.name != MODEL_FILE)
         if names:
             return names
     return []
@@ -167,10 +169,13 @@ def _contradiction(values: np.ndarray, width: int) -> str:
     rows = values.reshape(-1, width)
     if width == 5:
         ring = rows[:, 4]
-        if not ((ring >= 0) & (ring < 256) & (ring == np.floor(ring))).all():
-            return "the fifth column is no ring: whole numbers from 0 to 255 are expected"
-    if width >= 4 and not ((rows[:, 3] >= 0) & (rows[:, 3] <= 65535)).all():
-        return "the fourth column is no intensity: some are negative"
+        wrong = ring[~((ring >= 0) & (ring < 256) & (ring == np.floor(ring)))]
+        if len(wrong):
+            return f"the fifth column is no ring: whole numbers from 0 to 255 are expected, found {wrong[0]:g}"
+    if width >= 4:
+        wrong = rows[~((rows[:, 3] >= 0) & (rows[:, 3] <= MAX_INTENSITY)), 3]
+        if len(wrong):
+            return f"the fourth column is no intensity: expected 0 to {MAX_INTENSITY}, found {wrong[0]:g}"
     return ""
 
 

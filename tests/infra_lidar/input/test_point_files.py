@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from services.infra_lidar.input.pcd import FrameError, lzf_decompress, parse_pcd
-from services.infra_lidar.input.point_files import parse_frame
+from services.infra_lidar.input.point_files import frame_files, parse_frame
 
 ROWS = np.array([[1.0, 2.0, 3.0, 40.0, 5.0], [-1.0, 0.5, 0.25, 255.0, 127.0]], np.float32)
 
@@ -282,6 +282,41 @@ def test_millimetres_are_refused(suffix):
 def test_points_that_are_no_number_are_left_out():
     xyz = np.array([[1, 2, 3], [np.nan] * 3, [4, 5, 6]], np.float32)
     assert parse_frame("a.npz", _npz(xyz=xyz)).points.tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "words"),
+    [
+        (3, -3, "no intensity: expected 0 to 65535, found -3"),
+        (3, np.nan, "no intensity: expected 0 to 65535, found nan"),
+        (3, 70000, "no intensity: expected 0 to 65535, found 70000"),
+        (4, 256, "no ring: whole numbers from 0 to 255 are expected, found 256"),
+        (4, 0.5, "no ring: whole numbers from 0 to 255 are expected, found 0.5"),
+    ],
+)
+def test_a_column_that_is_none_is_told_with_what_was_found(column, value, words):
+    cloud = _cloud(2000)[:, :5]
+    cloud[7, column] = value
+    with pytest.raises(FrameError, match=words):
+        parse_frame("a.npy", _npy(cloud))
+
+
+@pytest.mark.parametrize(("value", "npz"), [(40_000, 255), (255, 255), (0.5, 0.5)])
+def test_intensities_are_as_in_the_file_or_clipped(value, npz):
+    """As the module says: .bin, .npy and .pcd keep them, .npz and .ply clip them."""
+    cloud = _cloud(10)[:, :4]
+    cloud[:, 3] = value
+    header = "FIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nWIDTH 10\nDATA binary\n"
+    as_it_is = {"a.bin": cloud.tobytes(), "a.npy": _npy(cloud), "a.pcd": header.encode() + cloud.tobytes()}
+    for name, data in as_it_is.items():
+        assert (parse_frame(name, data).points[:, 3] == value).all(), name
+    assert (parse_frame("a.npz", _npz(xyz=cloud[:, :3], intensity=cloud[:, 3])).points[:, 3] == npz).all()
+
+
+def test_only_the_learned_model_of_a_folder_is_no_frame(tmp_path):
+    for name in ("background.npz", "background_0001.npz", "backgrounds.npz", "a.npz"):
+        (tmp_path / name).write_bytes(b"")
+    assert [path.name for path in frame_files(tmp_path)] == ["a.npz", "background_0001.npz", "backgrounds.npz"]
 
 
 def _text(rows=ROWS):
