@@ -116,16 +116,6 @@ def test_packets_of_a_velodyne_go_through_our_decoder(tmp_path: Path, storage: S
     assert len(got[0].points) == 600 * 12 * 32
 
 
-@pytest.mark.parametrize("at", [0, 5])
-def test_a_scan_without_packets_is_no_damage(tmp_path: Path, at: int) -> None:
-    messages = scans(1)
-    topic, kind, stamp_ns, _ = messages[at]
-    messages.insert(at, (topic, kind, stamp_ns, build(kind, header=header(stamp_ns, "velodyne"), packets=[])))
-    report = Report("test")
-    assert len(frames(write(tmp_path / "bag", messages), report=report)) == 1
-    assert "damaged bag" not in report.snapshot().counters
-
-
 def test_packets_without_a_stamp_have_that_of_the_recording(tmp_path: Path) -> None:
     with open_bag(write(tmp_path / "bag", scans(1, dated=False))) as bag:
         recorded_ns, message = next(bag.messages("/velodyne_packets"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gzip
 import io
 import struct
@@ -11,68 +10,15 @@ from itertools import islice
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from common.bus.status import Report
 from common.config import ConfigError
 from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.input.captures import CaptureError, read_capture
-from services.infra_lidar.input.senders import print_senders
+from services.infra_lidar.input.captures import read_capture
 from services.infra_lidar.input.sensors import model_of
 from services.infra_lidar.input.source import open_source
+from tests.infra_lidar.made_captures import COOKED, COOKED2, cooked, ethernet, ipv4, ipv6, pcap, pcapng, udp
 from tests.infra_lidar.made_packets import metadata, vls_packet
-
-ETHERNET, COOKED, COOKED2 = 1, 113, 276
-
-
-def udp(payload: bytes, port: int = 2368) -> bytes:
-    return struct.pack(">HHHH", 9, port, len(payload) + 8, 0) + payload
-
-
-def ipv4(payload: bytes, sender: str = "192.168.1.201", port: int = 2368) -> bytes:
-    body = udp(payload, port)
-    address = bytes(map(int, sender.split(".")))
-    return struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + len(body), 1, 0, 64, 17, 0, address, b"\xff" * 4) + body
-
-
-def ipv6(body: bytes, following: int = 17) -> bytes:
-    return struct.pack(">IHBB", 6 << 28, len(body), following, 64) + bytes(15) + b"\x01" + bytes(16) + body
-
-
-def ethernet(packet: bytes, tags: tuple[int, ...] = ()) -> bytes:
-    kind = struct.pack(">H", 0x86DD if packet[0] >> 4 == 6 else 0x0800)
-    vlan = b"".join(struct.pack(">HH", tag, 7) for tag in tags)
-    return bytes(12) + vlan + kind + packet
-
-
-def cooked(packet: bytes, tags: tuple[int, ...] = ()) -> bytes:
-    types = [*tags, 0x0800]
-    inner = b"".join(struct.pack(">HH", 7, following) for following in types[1:])
-    return bytes(14) + struct.pack(">H", types[0]) + inner + packet
-
-
-def pcap(*frames: bytes, link: int = ETHERNET, order: str = "<", nanoseconds: bool = False) -> bytes:
-    data = struct.pack(order + "IHHIIII", 0xA1B23C4D if nanoseconds else 0xA1B2C3D4, 2, 4, 0, 0, 65535, link)
-    for number, frame in enumerate(frames):
-        data += struct.pack(order + "IIII", 100 + number, 5, len(frame), len(frame)) + frame
-    return data
-
-
-def pcapng(*frames: bytes, link: int = ETHERNET, order: str = "<") -> bytes:
-    def block(kind: int, body: bytes) -> bytes:
-        body += bytes(-len(body) % 4)
-        length = struct.pack(order + "I", len(body) + 12)
-        return struct.pack(order + "I", kind) + length + body + length
-
-    data = block(0x0A0D0D0A, struct.pack(order + "IHHq", 0x1A2B3C4D, 1, 0, -1))
-    data += block(1, struct.pack(order + "HHI", link, 0, 65535))
-    for number, frame in enumerate(frames):
-        stamp = (100 + number) * 1_000_000 + 5
-        head = struct.pack(order + "IIIII", 0, stamp >> 32, stamp & 0xFFFFFFFF, len(frame), len(frame))
-        data += block(6, head + frame)
-    return data
-
 
 FIRST = ethernet(ipv4(b"first"))
 
@@ -103,58 +49,6 @@ def test_the_payload_is_found_behind_every_container_and_link_layer(name: str, d
     assert datagram.sender == ("::1" if name == "IPv6" else "192.168.1.201")
 
 
-def test_fragments_of_ipv6_are_joined() -> None:
-    whole = udp(bytes(range(200)))
-
-    def part(start: int, stop: int, more: bool) -> bytes:
-        head = struct.pack(">BBHI", 17, 0, start | more, 77)
-        return ethernet(ipv6(head + whole[start:stop], following=44))
-
-    (datagram,) = read_capture(io.BytesIO(pcap(part(96, 208, False), part(0, 96, True))))
-    assert datagram.payload == bytes(range(200))
-
-
-def fragment(payload: bytes, start: int, stop: int) -> bytes:
-    """Bytes of a UDP datagram as a fragment of IPv4, on a link without padding; all have the same identity."""
-    body = udp(payload)
-    flags = start // 8 | (0x2000 if stop < len(body) else 0)
-    head = struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + len(body[start:stop]), 7, flags, 64, 17, 0, b"\1" * 4, b"\2" * 4)
-    return ethernet(head + body[start:stop])
-
-
-OLD, NEW = bytes([1]) * 200, bytes([2]) * 200
-OLD_PARTS, NEW_PARTS = ([fragment(data, *part) for part in ((0, 96), (96, 192), (192, 208))] for data in (OLD, NEW))
-
-
-@pytest.mark.parametrize(
-    ("parts", "wait_s", "payloads"),
-    [
-        (OLD_PARTS[1:] + NEW_PARTS * 2, 30, [NEW, NEW]),  # the identity comes again, the first of the old one was lost
-        (OLD_PARTS[:1] + NEW_PARTS[1:], 30, []),
-        (OLD_PARTS[:2] + NEW_PARTS * 2, 0, [NEW, NEW]),  # at once, and the last of the old one was lost
-        (OLD_PARTS[:1] + NEW_PARTS[:1] + NEW_PARTS[2:], 0, []),  # the second was lost of both
-        (NEW_PARTS[:1] * 2 + NEW_PARTS[1:], 0, [NEW]),  # a mirror port sends it twice
-        (NEW_PARTS[1:] + NEW_PARTS[:1], 0, [NEW]),
-    ],
-    ids=["old first lost", "both lost", "old last lost", "old second lost", "doubled", "first comes last"],
-)
-def test_fragments_of_two_packets_are_not_joined(parts: list[bytes], wait_s: int, payloads: list[bytes]) -> None:
-    data = bytearray(pcap(*parts))
-    at = 24
-    for number, part in enumerate(parts):
-        later = number >= len([one for one in parts if one in OLD_PARTS])
-        struct.pack_into("<I", data, at, 100 + (wait_s if later else 0))
-        at += 16 + len(part)
-    assert [datagram.payload for datagram in read_capture(io.BytesIO(data))] == payloads
-
-
-@pytest.mark.parametrize("rest", range(1, 9))
-def test_a_last_fragment_of_few_bytes_is_read(rest: int) -> None:
-    payload = bytes(range(88)) + bytes(rest)
-    (datagram,) = read_capture(io.BytesIO(pcap(fragment(payload, 0, 96), fragment(payload, 96, 96 + rest))))
-    assert datagram.payload == payload
-
-
 @pytest.mark.parametrize(
     "data",
     [pcap(FIRST, FIRST), pcapng(FIRST, FIRST), gzip.compress(pcap(FIRST, FIRST), mtime=0)],
@@ -163,53 +57,6 @@ def test_a_last_fragment_of_few_bytes_is_read(rest: int) -> None:
 def test_a_capture_that_is_cut_gives_what_is_whole(data: bytes) -> None:
     assert len(list(read_capture(io.BytesIO(data[:-9])))) <= 2
     assert next(iter(read_capture(io.BytesIO(data[: 9 * len(data) // 10])))).payload == b"first"
-
-
-# --- damage ---
-
-ZIPPED = gzip.compress(pcap(*[ethernet(ipv4(bytes([k, 91 * k % 256, 57 * k % 256]) * 40)) for k in range(40)]), mtime=0)
-
-
-@pytest.mark.parametrize(
-    ("data", "words"),
-    [
-        (ZIPPED[:8], r"damaged one \(Compressed file ended"),
-        (ZIPPED[:30], r"damaged one \(Compressed file ended"),
-        (b"\x1f\x8bjunk of some length", r"damaged one \(Unknown compression method"),
-        (ZIPPED[:10] + b"\xff" * 40, r"damaged one \(Error -3 while decompressing"),
-        (pcapng(FIRST)[:8], r"damaged one \(got 8, 24 needed"),
-    ],
-    ids=["cut in the head", "cut in the data", "junk", "damaged data", "pcapng cut"],
-)
-def test_damage_at_the_beginning_is_told_by_the_service_and_by_look(tmp_path: Path, data: bytes, words: str) -> None:
-    with pytest.raises(ConfigError, match=words):
-        source(tmp_path, data, "short.pcap.gz")
-    with pytest.raises(ConfigError, match=rf"short\.pcap\.gz: .*{words}"):
-        print_senders(str(tmp_path / "short.pcap.gz"), 1.0)
-
-
-def test_damage_farther_on_ends_the_capture_and_is_logged(caplog: pytest.LogCaptureFixture) -> None:
-    at = len(ZIPPED) // 2
-    damaged = ZIPPED[:at] + bytes(80) + ZIPPED[at + 80 :]
-    assert len(list(read_capture(io.BytesIO(damaged)))) < 40
-    assert "cut or damaged behind packet" in caplog.text
-    assert "the rest is left out" in caplog.text
-
-
-@settings(max_examples=200, deadline=None)
-@given(share=st.floats(0, 1), wrong=st.binary(max_size=8), cut=st.booleans())
-def test_a_damaged_gzip_is_read_or_refused(share: float, wrong: bytes, cut: bool) -> None:
-    at = int(share * len(ZIPPED))
-    damaged = ZIPPED[:at] if cut else ZIPPED[:at] + wrong + ZIPPED[at + len(wrong) :]
-    with contextlib.suppress(CaptureError):
-        assert len(list(read_capture(io.BytesIO(damaged)))) <= 40
-
-
-@pytest.mark.parametrize("length", range(8))
-def test_a_fragment_of_ipv6_without_its_whole_header_is_left_out(length: int) -> None:
-    short = ipv6(bytes([17, 0, 0, 1, 0, 0, 0, 7])[:length], following=44)
-    frames = [ethernet(short + bytes(8)), FIRST]  # with padding of the link layer
-    assert [datagram.payload for datagram in read_capture(io.BytesIO(pcap(*frames)))] == [b"first"]
 
 
 class Endless(io.RawIOBase):

@@ -3,6 +3,7 @@
 import io
 import json
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -209,6 +210,10 @@ def test_damaged_captures_end_or_are_refused(cut, noise):
         assert len(list(read_capture(io.BytesIO(data[:cut])))) <= 3
     except CaptureError:
         assert cut < 24
+
+
+def test_a_scan_without_packets_is_no_damaged_bag():
+    assert list(packets_of(SimpleNamespace(header=None, packets=[]), 7)) == []
 
 
 def test_the_recorded_vls128_packets_decode_to_the_recorded_points(recording):

@@ -6,19 +6,12 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.infra_lidar.input.pcd import FrameError, lzf_decompress, parse_pcd
+from services.infra_lidar.input.pcd import FrameError
 from services.infra_lidar.input.point_files import frame_files, parse_frame
-
-ROWS = np.array([[1.0, 2.0, 3.0, 40.0, 5.0], [-1.0, 0.5, 0.25, 255.0, 127.0]], np.float32)
-
-
-def _npz(**arrays):
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays)
-    return buffer.getvalue()
+from tests.infra_lidar.made_frames import ROWS, lzf_literals, npy, npz, pcd
 
 
 @pytest.mark.parametrize("columns", [3, 4, 5])
@@ -40,17 +33,17 @@ def test_a_name_of_nanoseconds_is_the_stamp():
 
 
 def test_npz_of_a_list_of_points():
-    frame = parse_frame("a.npz", _npz(xyz=ROWS[:, :3], intensity=ROWS[:, 3], ring=ROWS[:, 4], stamp=np.float64(12.5)))
+    frame = parse_frame("a.npz", npz(xyz=ROWS[:, :3], intensity=ROWS[:, 3], ring=ROWS[:, 4], stamp=np.float64(12.5)))
     assert np.array_equal(frame.points, ROWS)
     assert frame.stamp_s == 12.5
-    assert parse_frame("a.npz", _npz(xyz=ROWS[:, :3])).points.shape == (2, 3)
-    assert parse_frame("a.npz", _npz(xyz=ROWS[:, :3].astype(np.float16))).points.dtype == np.float32
+    assert parse_frame("a.npz", npz(xyz=ROWS[:, :3])).points.shape == (2, 3)
+    assert parse_frame("a.npz", npz(xyz=ROWS[:, :3].astype(np.float16))).points.dtype == np.float32
 
 
 def test_npz_of_an_organised_cloud_keeps_returns_only_and_takes_rows_for_rings():
     xyz = np.arange(24, dtype=np.float32).reshape(2, 4, 3)
     range_mm = np.array([[0, 1, 1, 0], [1, 0, 0, 1]], np.uint32)
-    frame = parse_frame("a.npz", _npz(xyz=xyz, range_mm=range_mm, reflectivity=np.full((2, 4), 300, np.uint16)))
+    frame = parse_frame("a.npz", npz(xyz=xyz, range_mm=range_mm, reflectivity=np.full((2, 4), 300, np.uint16)))
     assert np.array_equal(frame.points[:, :3], xyz[range_mm > 0])
     assert frame.points[:, 4].tolist() == [0, 0, 1, 1]
     assert (frame.points[:, 3] == 255).all()
@@ -70,62 +63,17 @@ def test_npz_of_an_organised_cloud_keeps_returns_only_and_takes_rows_for_rings()
 )
 def test_npz_of_other_arrays_is_refused_in_words(arrays, words):
     with pytest.raises(FrameError, match=words):
-        parse_frame("a.npz", _npz(**({"xyz": ROWS[:, :3]} | arrays)))
+        parse_frame("a.npz", npz(**({"xyz": ROWS[:, :3]} | arrays)))
 
 
 def test_npz_of_a_frame_beside_arrays_of_other_things():
-    data = _npz(xyz=ROWS[:, :3], stamp=np.array([12.5]), labels=np.array(["car", None]))
+    data = npz(xyz=ROWS[:, :3], stamp=np.array([12.5]), labels=np.array(["car", None]))
     assert parse_frame("a.npz", data).stamp_s == 12.5
 
 
 def test_npz_in_centimetres():
-    frame = parse_frame("a.npz", _npz(xyz_cm=np.array([[100, -250, 3]], np.int16)))
+    frame = parse_frame("a.npz", npz(xyz_cm=np.array([[100, -250, 3]], np.int16)))
     assert np.allclose(frame.points, [[1.0, -2.5, 0.03]])
-
-
-def _pcd(kind, body, fields="x y z intensity ring", size="4 4 4 4 2", types="F F F F U", count="1 1 1 1 1", points=2):
-    header = (
-        f"# .PCD v0.7\nVERSION 0.7\nFIELDS {fields}\nSIZE {size}\nTYPE {types}\nCOUNT {count}\n"
-        f"WIDTH {points}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA {kind}\n"
-    )
-    return header.encode() + body
-
-
-def test_pcd_ascii():
-    text = "\n".join(" ".join(f"{v:g}" for v in row) for row in ROWS).encode()
-    assert np.array_equal(parse_pcd(_pcd("ascii", text)), ROWS)
-
-
-def test_pcd_binary_with_padding():
-    record = np.zeros(2, [("xyz", "<f4", 3), ("_", "u1", 4), ("intensity", "<f4"), ("ring", "<u2"), ("__", "u1", 2)])
-    record["xyz"], record["intensity"], record["ring"] = ROWS[:, :3], ROWS[:, 3], ROWS[:, 4]
-    data = _pcd(
-        "binary", record.tobytes(), "x y z _ intensity ring _", "4 4 4 1 4 2 1", "F F F U F U U", "1 1 1 4 1 1 2"
-    )
-    assert np.array_equal(parse_pcd(data), ROWS)
-
-
-def _lzf_literals(raw):
-    return b"".join(bytes([len(raw[i : i + 32]) - 1]) + raw[i : i + 32] for i in range(0, len(raw), 32))
-
-
-def test_pcd_compressed_stores_columns():
-    raw = b"".join(ROWS[:, k].astype("<u2" if k == 4 else "<f4").tobytes() for k in range(5))
-    packed = _lzf_literals(raw)
-    body = struct.pack("<II", len(packed), len(raw)) + packed
-    assert np.array_equal(parse_pcd(_pcd("binary_compressed", body)), ROWS)
-
-
-@pytest.mark.parametrize(
-    ("packed", "raw"),
-    [
-        (b"\x02abc", b"abc"),
-        (b"\x00a\x20\x00", b"aaaa"),  # a match of three that overlaps itself
-        (b"\x02abc\xe0\x02\x02", (b"abc" * 5)[:14]),  # a long match: 7 + 2 + 2 bytes, from three back
-    ],
-)
-def test_lzf(packed, raw):
-    assert lzf_decompress(packed, len(raw)) == raw
 
 
 @pytest.mark.parametrize(
@@ -135,14 +83,14 @@ def test_lzf(packed, raw):
         ("a.bin", b"abc"),
         ("a.bin", b"\x00" * 28),
         ("a.npz", b"PK\x03\x04 damaged"),
-        ("a.npz", _npz(other=np.zeros(3))),
-        ("a.npz", _npz(xyz=np.zeros((4, 2)))),
-        ("a.npz", _npz(xyz=np.zeros((4, 3)), ring=np.zeros(3))),
+        ("a.npz", npz(other=np.zeros(3))),
+        ("a.npz", npz(xyz=np.zeros((4, 2)))),
+        ("a.npz", npz(xyz=np.zeros((4, 3)), ring=np.zeros(3))),
         ("a.pcd", b"VERSION 0.7\nFIELDS x y z\n"),
-        ("a.pcd", _pcd("binary", b"too short")),
-        ("a.pcd", _pcd("smoke", b"")),
-        ("a.pcd", _pcd("ascii", b"1 2 3 4 5", points=0)),
-        ("a.pcd", _pcd("binary_compressed", struct.pack("<II", 4, 36) + b"\xff\xff\xff\xff")),
+        ("a.pcd", pcd("binary", b"too short")),
+        ("a.pcd", pcd("smoke", b"")),
+        ("a.pcd", pcd("ascii", b"1 2 3 4 5", points=0)),
+        ("a.pcd", pcd("binary_compressed", struct.pack("<II", 4, 36) + b"\xff\xff\xff\xff")),
     ],
 )
 def test_what_cannot_be_read_is_refused_by_name(name, data):
@@ -155,21 +103,6 @@ def test_what_cannot_be_read_is_refused_by_name(name, data):
 def test_garbage_is_read_or_refused(name, data):
     with contextlib.suppress(FrameError):
         assert parse_frame(name, data).points.shape[1] in (3, 4, 5)
-
-
-@settings(max_examples=60, deadline=None)
-@given(cut=st.integers(0, 400))
-@example(cut=159)  # just behind the header
-def test_truncated_files_are_refused_or_shorter(cut):
-    data = _pcd("ascii", "\n".join(" ".join(f"{v:g}" for v in row) for row in ROWS).encode())
-    with contextlib.suppress(FrameError):
-        assert len(parse_frame("a.pcd", data[:cut]).points) <= 2
-
-
-def _npy(array, version=None):
-    buffer = io.BytesIO()
-    np.lib.format.write_array(buffer, array, version)
-    return buffer.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -191,13 +124,13 @@ def test_npy_of_a_wrong_header_is_refused_in_words(header, words):
 
 
 _DAMAGED = [
-    ("a.npy", _npy(ROWS)),
-    ("a.npy", _npy(ROWS.astype(int), (2, 0))),
-    ("a.npz", _npz(xyz=ROWS[:, :3], intensity=ROWS[:, 3], ring=ROWS[:, 4], stamp=np.float64(1.0))),
-    ("a.npz", _npz(xyz_cm=np.ones((2, 3), np.int16), range_mm=np.ones(2))),
-    ("a.pcd", _pcd("ascii", b"1 2 3 4 5\n1 2 3 4 5\n")),
-    ("a.pcd", _pcd("binary", bytes(36))),
-    ("a.pcd", _pcd("binary_compressed", struct.pack("<II", 38, 36) + _lzf_literals(bytes(36)))),
+    ("a.npy", npy(ROWS)),
+    ("a.npy", npy(ROWS.astype(int), (2, 0))),
+    ("a.npz", npz(xyz=ROWS[:, :3], intensity=ROWS[:, 3], ring=ROWS[:, 4], stamp=np.float64(1.0))),
+    ("a.npz", npz(xyz_cm=np.ones((2, 3), np.int16), range_mm=np.ones(2))),
+    ("a.pcd", pcd("ascii", b"1 2 3 4 5\n1 2 3 4 5\n")),
+    ("a.pcd", pcd("binary", bytes(36))),
+    ("a.pcd", pcd("binary_compressed", struct.pack("<II", 38, 36) + lzf_literals(bytes(36)))),
 ]
 
 
@@ -274,14 +207,14 @@ def test_npy():
 @pytest.mark.parametrize("suffix", ["npz", "bin"])
 def test_millimetres_are_refused(suffix):
     cloud = _cloud(500)[:, :3] * 1000.0
-    data = _npz(xyz=cloud) if suffix == "npz" else cloud.tobytes()
+    data = npz(xyz=cloud) if suffix == "npz" else cloud.tobytes()
     with pytest.raises(FrameError, match="are these millimetres"):
         parse_frame(f"a.{suffix}", data)
 
 
 def test_points_that_are_no_number_are_left_out():
     xyz = np.array([[1, 2, 3], [np.nan] * 3, [4, 5, 6]], np.float32)
-    assert parse_frame("a.npz", _npz(xyz=xyz)).points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert parse_frame("a.npz", npz(xyz=xyz)).points.tolist() == [[1, 2, 3], [4, 5, 6]]
 
 
 @pytest.mark.parametrize(
@@ -298,81 +231,22 @@ def test_a_column_that_is_none_is_told_with_what_was_found(column, value, words)
     cloud = _cloud(2000)[:, :5]
     cloud[7, column] = value
     with pytest.raises(FrameError, match=words):
-        parse_frame("a.npy", _npy(cloud))
+        parse_frame("a.npy", npy(cloud))
 
 
-@pytest.mark.parametrize(("value", "npz"), [(40_000, 255), (255, 255), (0.5, 0.5)])
-def test_intensities_are_as_in_the_file_or_clipped(value, npz):
+@pytest.mark.parametrize(("value", "clipped"), [(40_000, 255), (255, 255), (0.5, 0.5)])
+def test_intensities_are_as_in_the_file_or_clipped(value, clipped):
     """As the module says: .bin, .npy and .pcd keep them, .npz and .ply clip them."""
     cloud = _cloud(10)[:, :4]
     cloud[:, 3] = value
     header = "FIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nWIDTH 10\nDATA binary\n"
-    as_it_is = {"a.bin": cloud.tobytes(), "a.npy": _npy(cloud), "a.pcd": header.encode() + cloud.tobytes()}
+    as_it_is = {"a.bin": cloud.tobytes(), "a.npy": npy(cloud), "a.pcd": header.encode() + cloud.tobytes()}
     for name, data in as_it_is.items():
         assert (parse_frame(name, data).points[:, 3] == value).all(), name
-    assert (parse_frame("a.npz", _npz(xyz=cloud[:, :3], intensity=cloud[:, 3])).points[:, 3] == npz).all()
+    assert (parse_frame("a.npz", npz(xyz=cloud[:, :3], intensity=cloud[:, 3])).points[:, 3] == clipped).all()
 
 
 def test_only_the_learned_model_of_a_folder_is_no_frame(tmp_path):
     for name in ("background.npz", "background_0001.npz", "backgrounds.npz", "a.npz"):
         (tmp_path / name).write_bytes(b"")
     assert [path.name for path in frame_files(tmp_path)] == ["a.npz", "background_0001.npz", "backgrounds.npz"]
-
-
-def _text(rows=ROWS):
-    return "\n".join(" ".join(f"{v:g}" for v in row) for row in rows).encode()
-
-
-def test_pcd_of_an_organised_cloud_without_points():
-    data = _pcd("ascii", _text(np.tile(ROWS, (3, 1)))).replace(b"WIDTH 2\nHEIGHT 1", b"WIDTH 3\nHEIGHT 2")
-    data = data.replace(b"POINTS 2\n", b"")
-    assert len(parse_pcd(data)) == 6
-
-
-def test_pcd_with_eight_byte_time_and_a_padding_of_nothing():
-    record = np.zeros(2, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u8")])
-    record["x"], record["t"] = ROWS[:, 0], 1 << 60
-    data = _pcd("binary", record.tobytes(), "X Y Z t _", "4 4 4 8 1", "F F F U U", "1 1 1 1 0")
-    assert np.array_equal(parse_pcd(data)[:, 0], ROWS[:, 0])
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ((b"POINTS 2", b"POINTS 1"), "WIDTH x HEIGHT says 2 points; POINTS says 1 points"),
-        ((b"FIELDS x y z intensity ring", b"FIELDS x y height intensity ring"), "no field z among x y height"),
-        ((b"TYPE F F F F U", b"TYPE F F F F Q"), "no field of PCD has type Q and 2 bytes"),
-        ((b"FIELDS x y z intensity ring\n", b""), "no FIELDS line in the header"),
-        ((b"TYPE F F F F U\n", b""), "no TYPE line in the header"),
-        ((b"SIZE 4 4 4 4 2\n", b""), "no SIZE line in the header"),
-        ((b"DATA ascii", b"DATA"), "no DATA line in the header"),
-        ((b"TYPE F F F F U", b"TYPE F F"), "5 FIELDS, 2 TYPES"),
-        ((b"SIZE 4 4 4 4 2", b"SIZE 4 4 4 4 2 2"), "5 FIELDS, 6 SIZES"),
-        ((b"COUNT 1 1 1 1 1", b"COUNT 1 1 1"), "5 FIELDS, 3 COUNTS"),
-        ((b"COUNT 1 1 1 1 1", b"COUNT 1 1 0 1 1"), "0 values of z for each point, 1 expected"),
-        ((b"FIELDS x y z intensity", b"FIELDS x y z z"), "2 values of z for each point, 1 expected"),
-        ((b"SIZE 4", b"SIZE four"), "SIZE: expected whole numbers, found four 4 4 4 2"),
-        ((b"WIDTH 2", b"WIDTH"), "WIDTH: expected whole numbers, found nothing"),
-        ((b"POINTS 2", b"POINTS -2"), "POINTS: expected whole numbers, found -2"),
-        ((b"1 2 3 40 5\n-1 0.5 0.25 255 127", b"1 2\n3 4"), "2 numbers a line, 5 expected"),
-        ((b"1 2 3 40 5\n", b"\n"), "2 points are announced, 1 lines follow"),
-    ],
-)
-def test_a_pcd_that_contradicts_itself_is_refused_in_words(change, words):
-    assert change[0] in _pcd("ascii", _text())
-    with pytest.raises(FrameError) as told:
-        parse_frame("a.pcd", _pcd("ascii", _text()).replace(*change))
-    assert words in str(told.value)
-
-
-@pytest.mark.parametrize(
-    ("body", "words"),
-    [
-        (b"1234", "the sizes of the compressed data are 8 bytes, 4 follow"),
-        (struct.pack("<II", 9, 36) + b"abc", "9 compressed bytes are announced, 3 follow"),
-        (struct.pack("<II", 3, 36) + b"\0a\x20", "the compressed data end within a match"),
-    ],
-)
-def test_a_compressed_pcd_that_is_cut_is_refused_in_words(body, words):
-    with pytest.raises(FrameError, match=words):
-        parse_frame("a.pcd", _pcd("binary_compressed", body))
