@@ -78,7 +78,10 @@ class HesaiParser(SpinningParser):
         return False
 
     def _watch_state(self, packet: bytes, layout: HesaiLayout) -> None:
-        """Count when the sensor begins to report a fault. Its check sum may end before the reserved bytes or after."""
+        """Count when the sensor begins to report a fault.
+
+        The manual does not say whether the check sum covers the reserved bytes; both are tried.
+        """
         at = layout.safety_at
         state = packet[at + 1] >> 5 if at else 0
         if state == self._state:

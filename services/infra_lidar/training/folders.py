@@ -1,6 +1,6 @@
 """Labelled clusters from folders in the article's layout: ``{train,test}/<class>/*.bin``. Opens files.
 
-Every folder that is none is refused with one sentence: nobody should have to read a traceback, or a figure of nothing.
+A folder that is not laid out like this is refused with one sentence.
 """
 
 from __future__ import annotations
