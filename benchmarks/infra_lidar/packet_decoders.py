@@ -74,12 +74,13 @@ def ouster(profile: str) -> Turn:
     layout = OusterFormat(json.dumps(document))
     p = layout.profile
     raw = RNG.integers(1, 200, (128, layout.packet_bytes)).astype(np.uint8)
-    body = raw[:, p.packet_header : p.packet_header + 16 * layout.column_bytes].reshape(128, 16, layout.column_bytes)
+    column_bytes = p.column_bytes(layout.beams)
+    body = raw[:, p.packet_header : p.packet_header + 16 * column_bytes].reshape(128, 16, column_bytes)
     number = np.arange(2048).reshape(128, 16)
     body[..., 8:11] = _columns([number & 255, number >> 8, 1])
     if p.legacy:
         body[..., -4:] = 0xFF  # valid
-    starts = [p.packet_header + p.column_header + k * layout.column_bytes for k in range(16)]
+    starts = [p.packet_header + p.column_header + k * column_bytes for k in range(16)]
     pattern = "<IB" if p.pixel > 4 else "<HB"
     decoder = KINDS["ouster"].decoder(layout.metadata)
     return raw, decoder, lambda packet: _plain(packet, pattern, starts, 128, p.pixel)

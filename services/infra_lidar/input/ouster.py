@@ -65,9 +65,8 @@ class OusterFormat:
         self.frame_id_at = frame_id_at(self.profile_name, str(layout.get("header_type", "")))
         self.packet_type = PACKET_TYPES[self.frame_id_at]
         p = self.profile
-        self.column_bytes = p.column_header + self.beams * p.pixel + p.column_footer
-        self.packet_bytes = p.packet_header + self.columns_per_packet * self.column_bytes + p.packet_footer
-        sizes = [p.packet_header, self.column_bytes, self.columns_per_packet, p.column_header, p.pixel]
+        self.packet_bytes = p.packet_bytes(self.columns_per_packet, self.beams)
+        sizes = [p.packet_header, p.column_bytes(self.beams), self.columns_per_packet, p.column_header, p.pixel]
         ranges = [np.dtype(p.range_type).itemsize, p.range_mask, p.range_step_mm]
         others = [
             p.reflectivity_at,

@@ -31,6 +31,14 @@ class OusterProfile(NamedTuple):
         """Whether it is the layout of firmware 1.x, without a packet header."""
         return self.packet_header == 0
 
+    def column_bytes(self, beams: int) -> int:
+        """The size of a column with its header and footer."""
+        return self.column_header + beams * self.pixel + self.column_footer
+
+    def packet_bytes(self, columns: int, beams: int) -> int:
+        """The size of a packet with so many columns of so many beams."""
+        return self.packet_header + columns * self.column_bytes(beams) + self.packet_footer
+
 
 def _fine(pixel: int, reflectivity_at: int, dual: bool = False) -> OusterProfile:
     """19 bits of millimetres."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from services.infra_lidar.input import hesai, robosense
 from services.infra_lidar.input.captures import Datagram
-from services.infra_lidar.input.ouster_profiles import PROFILES, OusterProfile
+from services.infra_lidar.input.ouster_profiles import PROFILES
 from services.infra_lidar.input.velodyne import DUAL_RETURN, MODE_AT
 
 VELODYNE_BYTES = 1206
@@ -35,11 +35,6 @@ _ROBOSENSE = {
 _OUSTER_COLUMNS = 16
 
 
-def _ouster_bytes(profile: OusterProfile, beams: int) -> int:
-    column = profile.column_header + beams * profile.pixel + profile.column_footer
-    return profile.packet_header + _OUSTER_COLUMNS * column + profile.packet_footer
-
-
 def _ouster_sizes() -> dict[int, str]:
     """Sizes of packets; profiles of one size cannot be told apart by it, the first stands for all."""
     sizes: dict[int, str] = {}
@@ -47,7 +42,7 @@ def _ouster_sizes() -> dict[int, str]:
         for name, p in PROFILES.items():
             others = [k for k, q in PROFILES.items() if (q.pixel, q.legacy) == (p.pixel, p.legacy)]
             told = f"with {beams} beams, {name}" + (" or of that size" if len(others) > 1 else "")
-            sizes.setdefault(_ouster_bytes(p, beams), told)
+            sizes.setdefault(p.packet_bytes(_OUSTER_COLUMNS, beams), told)
     return sizes
 
 
@@ -56,7 +51,7 @@ def _ouster_duals() -> dict[int, set[bool]]:
     duals: dict[int, set[bool]] = {}
     for beams in (16, 32, 64, 128):
         for p in PROFILES.values():
-            duals.setdefault(_ouster_bytes(p, beams), set()).add(p.second_range_at >= 0)
+            duals.setdefault(p.packet_bytes(_OUSTER_COLUMNS, beams), set()).add(p.second_range_at >= 0)
     return duals
 
 
