@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import io
+import struct
 import sys
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -116,6 +118,38 @@ def test_las(point_format: int) -> None:
 def test_laz() -> None:
     pytest.importorskip("lazrs", reason="needs the extra laz")
     np.testing.assert_allclose(parse_frame("a.laz", las(compress=True)).points, ROWS, atol=1e-3)
+
+
+def test_a_laz_that_announces_more_chunks_than_points_is_refused() -> None:
+    """Else the library would ask for memory for them all, and the process would end without it."""
+    pytest.importorskip("lazrs", reason="needs the extra laz")
+    data = bytearray(las(compress=True))
+    points_at = struct.unpack_from("<I", data, 96)[0]
+    table_at = struct.unpack_from("<q", data, points_at)[0]
+    struct.pack_into("<I", data, table_at + 4, 1_000_000)
+    with pytest.raises(FrameError, match="1000000 compressed chunks are announced for 2 points"):
+        parse_frame("a.laz", bytes(data))
+
+
+def test_a_panic_of_the_decompressor_is_damage_and_nothing_else_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("laspy", reason="needs the extra las")
+    data = las()
+    panic = type("PanicException", (BaseException,), {})  # as the library of Rust defines it
+    for error, expected in ((panic("mid > len"), FrameError), (KeyboardInterrupt(), KeyboardInterrupt)):
+        monkeypatch.setattr("laspy.read", Mock(side_effect=error))
+        with pytest.raises(expected):
+            parse_frame("a.las", data)
+
+
+@settings(max_examples=150, deadline=None)
+@given(changes=st.lists(st.tuples(st.integers(0, 2000), st.integers(0, 255)), max_size=5), cut=st.floats(0.3, 3.0))
+def test_damaged_laz_files_are_refused_or_read(changes: list[tuple[int, int]], cut: float) -> None:
+    pytest.importorskip("lazrs", reason="needs the extra laz")
+    data = bytearray(las(compress=True))
+    for at, value in changes:
+        data[at % len(data)] = value
+    with contextlib.suppress(FrameError):
+        parse_frame("a.laz", bytes(data[: int(cut * len(data))]))
 
 
 def test_intensities_of_sixteen_bits_are_brought_to_eight() -> None:
