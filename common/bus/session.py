@@ -13,6 +13,7 @@ from typing import Any
 import zenoh
 
 from common.config import ConfigError, ZenohConfig
+from common.source_url import HIGHEST_PORT
 
 log = logging.getLogger("zenoh")
 
@@ -88,7 +89,7 @@ def nested_settings(config: ZenohConfig) -> dict[str, Any]:
 def build(config: ZenohConfig) -> zenoh.Config:
     """The Zenoh configuration; raises ``ConfigError`` with the setting that Zenoh refuses."""
     for endpoint in (*config.connect, *config.listen):
-        _refuse_malformed(endpoint)
+        refuse_malformed(endpoint)
     built = zenoh.Config()
     for path, value in zenoh_settings(config).items():
         try:
@@ -98,14 +99,20 @@ def build(config: ZenohConfig) -> zenoh.Config:
     return built
 
 
-def _refuse_malformed(endpoint: str) -> None:
-    """Zenoh takes an endpoint without a port, or of a protocol that it does not know, and tries it for ever."""
+def refuse_malformed(endpoint: str) -> None:
+    """Zenoh takes an endpoint without a port, or of a protocol that it does not know, and tries it for ever.
+
+    Raises:
+        ConfigError: says what is wrong with it.
+    """
     protocol, slash, address = endpoint.partition("/")
     port = address.partition("?")[0].partition("#")[0].rpartition(":")[2]
     if not slash or protocol not in PROTOCOLS:
         wrong = f"protocols are {', '.join(PROTOCOLS)}"
     elif protocol in WITH_PORT and not port.isdecimal():
         wrong = "its port is missing"
+    elif protocol in WITH_PORT and not int(port) <= HIGHEST_PORT:
+        wrong = f"ports end at {HIGHEST_PORT}"
     else:
         return
     raise ConfigError(f"[zenoh] endpoint {endpoint!r}: expected PROTOCOL/HOST:PORT, e.g. tcp/127.0.0.1:7447; {wrong}")

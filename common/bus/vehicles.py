@@ -35,6 +35,11 @@ def vehicles_in(answers: Iterable[bytes]) -> dict[str, str]:
         except DecodeError:
             continue
         if isinstance(vehicle, dict) and vehicle.get("name"):
-            found |= {str(host): ROADSIDE for host in vehicle.get("roadside_hosts", ()) if host not in found}
-            found |= {str(host): str(vehicle["name"]) for host in vehicle.get("hosts", ())}
+            found |= {host: ROADSIDE for host in _names(vehicle.get("roadside_hosts")) if host not in found}
+            found |= {host: str(vehicle["name"]) for host in _names(vehicle.get("hosts"))}
     return found
+
+
+def _names(hosts: object) -> list[str]:
+    """Of a list; a fusion of another version may have something else there."""
+    return [str(host) for host in hosts] if isinstance(hosts, list | tuple) else []

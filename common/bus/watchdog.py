@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import socket
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -35,7 +36,9 @@ class Watchdog:
         """The work made progress."""
         self._send("WATCHDOG=1")
         if self._file is not None:
-            self._file.touch()
+            with suppress(OSError):  # a full disk: then the file grows old, and whoever watches it restarts us
+                self._file.parent.mkdir(parents=True, exist_ok=True)  # somebody may have tidied up
+                self._file.touch()
 
     def _send(self, text: str) -> None:
         if not self._address:

@@ -64,6 +64,10 @@ class SpiConfig(Section, frozen=True, kw_only=True):
     irq_gpio: int = 25  # rising edge
     gpio_chip: str = "auto"  # the header's, by its label; or a path
 
+    def __post_init__(self) -> None:
+        if self.reset_gpio == self.irq_gpio:
+            raise ValueError(f"[spi] reset_gpio and irq_gpio: both are {self.irq_gpio}, expected two lines")
+
 
 class ProcessingConfig(Section, frozen=True, kw_only=True):
     """Windows and the clutter background."""
@@ -116,6 +120,10 @@ class AzimuthConfig(Section, frozen=True, kw_only=True):
     field_of_view_rad: Annotated[float, Meta(gt=0.0, le=1.58)] = 0.96  # farther off boresight is dropped
     upper_rx: Annotated[int, Meta(ge=1, le=3)] = 2  # above right_rx: tells how high an echo is
     upper_phase_offset_rad: float = 0.0  # as phase_offset_rad, for the upright pair
+
+    def __post_init__(self) -> None:
+        if self.left_rx == self.right_rx:
+            raise ValueError(f"[azimuth] left_rx and right_rx: both are {self.left_rx}, expected two receivers")
 
     @property
     def upright(self) -> AzimuthConfig:

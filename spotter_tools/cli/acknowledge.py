@@ -7,14 +7,16 @@ from typing import Annotated
 
 import typer
 
-from spotter_tools.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespace, bus
+from spotter_tools.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespace, bus, one_host
 from spotter_tools.cli.fail import fail
 
 QUERY_TIMEOUT_S = 3.0
 
 
 def acknowledge(
-    fusion_host: Annotated[str, typer.Option(help="The vehicle's host that runs fusion.")] = "jetson0",
+    fusion_host: Annotated[
+        str, typer.Option(callback=one_host, help="The vehicle's host that runs fusion.")
+    ] = "jetson0",
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "",
     as_json: AsJson = False,

@@ -19,7 +19,7 @@ from common.bus.published import why_silent
 from common.bus.vehicles import vehicles_on_bus
 from common.codec import DecodeError, decode, to_builtins
 from common.messages import Message, RouterLinks, ServiceInfo, ServiceStatus, SystemHealth, Verdict
-from spotter_tools.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespace, bus
+from spotter_tools.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespace, bus, one_host
 from spotter_tools.cli.fail import fail, needs_extra
 from spotter_tools.cli.render import coloured, health_lines, readable, reason_lines, verdict_text
 
@@ -156,7 +156,9 @@ def _query(session: zenoh.Session, key: str, message_type: Any, instance: str) -
 
 def health(
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Go on, a block on every change.")] = False,
-    fusion_host: Annotated[str, typer.Option(help="Whose verdict, where there are several vehicles.")] = "*",
+    fusion_host: Annotated[
+        str, typer.Option(callback=one_host, help="Whose verdict, where there are several vehicles.")
+    ] = "*",
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "",
     as_json: AsJson = False,

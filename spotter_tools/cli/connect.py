@@ -6,6 +6,7 @@ A laptop at a router with TLS also sets SPOTTER_CERTIFICATE.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,6 +36,17 @@ Namespace = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line, for programs.")]
+
+
+def one_host(text: str) -> str:
+    """For options that name a host: its name, or ``*`` for all.
+
+    Raises:
+        typer.BadParameter: neither.
+    """
+    if text != "*" and not re.fullmatch("[a-z0-9_]+", text):
+        raise typer.BadParameter(f"{text!r}: expected the name of a host (a-z, 0-9 and _), or *")
+    return text
 
 
 @contextmanager

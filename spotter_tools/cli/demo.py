@@ -15,7 +15,7 @@ import typer
 
 from common.bus.namespace import DEMO
 from common.bus.service_app import setup_logging
-from common.bus.session import close_session, init_zenoh_log, open_session
+from common.bus.session import close_session, init_zenoh_log, open_session, refuse_malformed
 from common.config import ConfigError, ZenohConfig
 from common.host.process_plan import Plan, children, parse_settings
 from common.host.supervisor import Supervisor
@@ -76,6 +76,7 @@ def _checked_plan(scenario: str, listen: str, port: int, namespace: str, overrid
         plan = _plan(scenario, listen, port, namespace, overrides)
         check_configurations(ROWS, plan)
         refuse_taken(listen, "something runs here already; a demo beside it: --listen tcp/127.0.0.1:7448 --port 8081")
+        refuse_malformed(listen)
         refuse_taken(f"tcp/127.0.0.1:{port}", "another page is served there; choose another one with --port")
     except ConfigError as error:
         fail(str(error), code=2)

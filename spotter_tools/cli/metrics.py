@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from common.messages import LEVELS
-from spotter_tools.cli.connect import DEFAULT_ENDPOINT, Connect, Namespace, bus
+from spotter_tools.cli.connect import DEFAULT_ENDPOINT, Connect, Namespace, bus, one_host
 from spotter_tools.cli.fail import fail, needs_extra
 from spotter_tools.cli.system_view import Observer, Overview
 
@@ -21,11 +21,15 @@ SENSOR_STATES = ("online", "degraded", "disconnected")
 
 
 def metrics(
-    port: Annotated[int, typer.Option(help="Where Prometheus asks: http://ADDRESS:PORT/metrics.")] = 9108,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Where Prometheus asks: http://ADDRESS:PORT/metrics.")
+    ] = 9108,
     address: Annotated[
         str, typer.Option(help="0.0.0.0 lets other machines ask; figures only, no control.")
     ] = "127.0.0.1",
-    host: Annotated[str, typer.Option(help="Only what this host publishes, e.g. pi0; default: the whole site.")] = "*",
+    host: Annotated[
+        str, typer.Option(callback=one_host, help="Only what this host publishes, e.g. pi0; default: the whole site.")
+    ] = "*",
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "",
 ) -> None:

@@ -30,7 +30,7 @@ NOBODY_AFTER_S = 4.0  # of silence, it is asked whether anybody publishes the ke
 
 def echo(
     key: Annotated[str, typer.Argument(help="Key expression, e.g. '*/radar/tracks' or 'jetson0/**'.")],
-    count: Annotated[int, typer.Option("--count", "-n", help="Stop after this many; 0 = never.")] = 0,
+    count: Annotated[int, typer.Option("--count", "-n", min=0, help="Stop after this many; 0 = never.")] = 0,
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "",
     as_json: AsJson = False,
@@ -93,8 +93,8 @@ def _print_sample(sample: zenoh.Sample, as_json: bool) -> None:
 
 def hz(
     key: Annotated[str, typer.Argument(help="Key expression.")],
-    seconds: Annotated[float, typer.Option(help="Window, and how often a line is printed.")] = 2.0,
-    count: Annotated[int, typer.Option("--count", "-n", help="Stop after this many lines; 0 = never.")] = 0,
+    seconds: Annotated[float, typer.Option(min=0.05, help="Window, and how often a line is printed.")] = 2.0,
+    count: Annotated[int, typer.Option("--count", "-n", min=0, help="Stop after this many lines; 0 = never.")] = 0,
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "",
     as_json: AsJson = False,

@@ -163,8 +163,15 @@ def test_without_systemd_nothing_happens(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_a_container_is_told_by_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPOTTER_ALIVE", str(tmp_path / "alive"))
-    Watchdog("radar").alive()
+    watchdog = Watchdog("radar")
+    watchdog.alive()
     assert (tmp_path / "alive" / "radar").exists()
+    shutil.rmtree(tmp_path / "alive")  # somebody tidies up
+    watchdog.alive()
+    assert (tmp_path / "alive" / "radar").exists()
+    shutil.rmtree(tmp_path / "alive")
+    (tmp_path / "alive").touch()  # a folder cannot be made there
+    watchdog.alive()
 
 
 def test_the_udev_rules_are_matches_and_assignments() -> None:

@@ -43,6 +43,8 @@ def test_the_bench_configuration_loads() -> None:
         ("waveform.rx_mask=8", "<= 7"),
         ("cfar.treshold_db=3", "did you mean 'threshold_db'"),
         ("cfar.kind=mean", "kind"),
+        ("azimuth.left_rx=3", "left_rx and right_rx: both are 3, expected two receivers"),
+        ("spi.reset_gpio=25", "reset_gpio and irq_gpio: both are 25, expected two lines"),
     ],
 )
 def test_impossible_values_are_refused_with_a_reason(override: str, expected: str) -> None:

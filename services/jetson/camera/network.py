@@ -162,10 +162,11 @@ def _read_names(text: str) -> list[str]:
     for read in (json.loads, ast.literal_eval):
         try:
             names = read(text)
-        except (ValueError, SyntaxError):
+            order = sorted(names, key=int) if isinstance(names, dict) else []
+        except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError):  # as `ast` documents
             continue
         if isinstance(names, dict) and names:
-            return [str(names[key]) for key in sorted(names, key=int)]
+            return [str(names[key]) for key in order]
         if isinstance(names, list) and names:
             return [str(name) for name in names]
     raise ModelError(f"class names {text[:80]!r} in its metadata; expected such as {{0: 'person', 1: 'car'}}")

@@ -218,10 +218,10 @@ class Encoder:
         if "a" not in url.params:
             raise ConfigError(f"source {url}: expected the line of channel a, e.g. gpio:/dev/gpiochip0?a=5")
         self._url, self._config, self._open_edges = url, config, open_edges
-        lines = {int(url.number("a", 0)): "a"}
-        if "b" in url.params:
-            lines[int(url.number("b", 0))] = "b"
-        self._channels = lines
+        names = [name for name in ("a", "b") if name in url.params]
+        self._channels = {int(url.number(name, 0)): name for name in names}
+        if len(self._channels) < len(names) or min(self._channels) < 0:
+            raise ConfigError(f"source {url}: expected {' and '.join(names)} to be different lines, 0 or more")
 
     def readings(self) -> Readings:
         """Speed in m/s and its sigma, 20 times a second or more. Raises ``OSError``: the lines are lost."""

@@ -17,7 +17,7 @@ import msgspec
 
 from common.config import ConfigError
 from services.radar_pi.chip import waveform as wave
-from services.radar_pi.chip.registers import Register, Registers
+from services.radar_pi.chip.registers import ADC_DIV, SHAPE_PD_MODE, PdMode, Register, Registers
 from services.radar_pi.chip.waveform import Timing
 from services.radar_pi.config import WaveformConfig
 
@@ -80,6 +80,10 @@ def parse_registers(text: str, origin: str = "registers") -> Registers:
     missing = [r.name for r in _NEEDED if r not in registers]
     if missing:
         raise ConfigError(f"{origin}: registers missing: {', '.join(missing)}")
+    if ADC_DIV.of(registers) == 0:
+        raise ConfigError(f"{origin}: ADC0 divides the clock by 0, expected by 1 or more")
+    if (mode := SHAPE_PD_MODE.of(registers)) > max(PdMode):
+        raise ConfigError(f"{origin}: power mode {mode} in the pause after a chirp, expected 0 to {max(PdMode)}")
     return registers
 
 

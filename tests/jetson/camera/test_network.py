@@ -99,6 +99,8 @@ def test_what_people_export_is_understood(make_model: ModelMaker, name: str, mod
         ("masks in one output", {"output": masks(), "names": None}, "scores from -1 to 1"),
         ("another number of names", {"output": v8(classes=4)}, "3 class names in its metadata, but 4 rows"),
         ("names that are no names", {"output": v8(), "names": "person and car"}, "class names 'person and car'"),
+        ("names without numbers", {"output": v8(), "names": "{'person': 0}"}, "class names \"{'person': 0}\""),
+        ("a number is missing", {"output": v8(), "names": "{1: 'a', None: 'b'}"}, "class names"),
         ("a classifier", {"output": np.full((1, 1000), 0.001)}, "(1, 1000)"),
         ("logits", {"output": v8(score=3.2)}, "scores from 0 to 3.2"),
         ("negative logits", {"output": v8() - np.r_[0, 0, 0, 0, 6, 6, 6][None, :, None]}, "scores from -6"),

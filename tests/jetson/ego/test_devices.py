@@ -18,6 +18,7 @@ import pytest
 
 from common.bus.status import Report
 from common.clock import monotonic_s
+from common.config import ConfigError
 from common.source_url import parse_source, source_kind
 from services.jetson.ego.config import CanConfig, EgoConfig, EncoderConfig, LimitsConfig, VescConfig
 from services.jetson.ego.devices import CanBus, Device, Encoder, GpioEdges, Imu, SerialLines, Vesc
@@ -275,6 +276,12 @@ def test_an_encoder_turns_stands_and_is_lost(watch: Any, until: Until) -> None:
     wheel.lost = True
     until(lambda: "No such device" in seen.motion.reason, "lost")
     until(lambda: seen.motion.speed_mps is None, "unknown, not standing")
+
+
+@pytest.mark.parametrize("lines", ["a=5&b=5", "a=-1", "a=5&b=-2"])
+def test_lines_of_an_encoder_that_cannot_be(lines: str) -> None:
+    with pytest.raises(ConfigError, match="to be different lines, 0 or more"):
+        Encoder(parse_source(f"gpio:/dev/gpiochip0?{lines}", SCHEMES), EgoConfig())
 
 
 def test_libgpiod_is_asked_for_edges(monkeypatch: pytest.MonkeyPatch) -> None:

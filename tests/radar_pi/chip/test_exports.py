@@ -11,7 +11,7 @@ import pytest
 from common.config import ConfigError
 from services.radar_pi.chip import registers as reg
 from services.radar_pi.chip.exports import parse_registers, plan
-from services.radar_pi.chip.registers import Register
+from services.radar_pi.chip.registers import ADC_DIV, SHAPE_PD_MODE, Field, Register
 from services.radar_pi.config import WaveformConfig
 
 
@@ -91,6 +91,18 @@ def test_a_register_list_of_another_minute_is_refused(exports, tmp_path: Path, r
     newer = export.changed({register: exports["track"].registers[register]})
     with pytest.raises(ConfigError, match="does not match"):
         plan(_waveform_with(tmp_path, _register_file(newer), _fusion_json(export.settings)))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "text"),
+    [(ADC_DIV, 0, "divides the clock by 0"), (SHAPE_PD_MODE, 3, "power mode 3 in the pause")],
+)
+def test_registers_that_make_no_waveform_are_refused(exports, field: Field, value: int, text: str) -> None:
+    export = exports["3rx_5m"]
+    registers = parse_registers(_register_file(export))
+    changed = export.changed({field.register.name: field.put(registers[field.register], value)})
+    with pytest.raises(ConfigError, match=text):
+        parse_registers(_register_file(changed))
 
 
 @pytest.mark.parametrize(

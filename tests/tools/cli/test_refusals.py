@@ -26,6 +26,16 @@ ENDPOINT = "expected PROTOCOL/HOST:PORT, e.g. tcp/127.0.0.1:7447"
             1,
             f"[zenoh] endpoint 'tcp/10.0.0.1': {ENDPOINT}; its port is missing",
         ),
+        (
+            ["ls", "--connect", "tcp/127.0.0.1:99999"],
+            1,
+            f"[zenoh] endpoint 'tcp/127.0.0.1:99999': {ENDPOINT}; ports end at 65535",
+        ),
+        (
+            ["demo", "--listen", "tcp/127.0.0.1"],
+            2,
+            f"[zenoh] endpoint 'tcp/127.0.0.1': {ENDPOINT}; its port is missing",
+        ),
         (["demo", "--listen", "bogus"], 2, f"'bogus' is no endpoint: {ENDPOINT}"),
         (
             ["demo", "--scenario", "nowhere"],
@@ -44,6 +54,24 @@ ENDPOINT = "expected PROTOCOL/HOST:PORT, e.g. tcp/127.0.0.1:7447"
 def test_a_place_that_cannot_be(words: list[str], code: int, said: str) -> None:
     refused = runner.invoke(app, words)
     assert (refused.exit_code, refused.output) == (code, f"spotter: {said}\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["health", "--fusion-host", "a//"], "expected the name of a host"),
+        (["metrics", "--host", "a//"], "expected the name of a host"),
+        (["acknowledge", "--fusion-host", ""], "expected the name of a host"),
+        (["metrics", "--port", "99999"], "less than or equal to 65535"),
+        (["hz", "x", "--seconds", "-1"], "greater than or equal to 0.05"),
+        (["echo", "x", "-n", "-1"], "greater than or equal to 0"),
+        (["record", "--keep-free", "nan"], "less than or equal to 1000000"),
+    ],
+)
+def test_options_out_of_range(words: list[str], said: str) -> None:
+    refused = runner.invoke(app, words)
+    assert (refused.exit_code, isinstance(refused.exception, SystemExit)) == (2, True)
+    assert said in " ".join(refused.output.split())
 
 
 def test_a_plot_names_the_endings_it_can_write(recording: Path, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from types import ModuleType
 
+import msgspec
 import pytest
 from typer.testing import CliRunner
 
@@ -127,3 +128,5 @@ def test_what_is_no_answer_of_a_fusion_names_no_vehicle() -> None:
         started_ns=1, pid=1, config={"vehicle": {"name": "", "hosts": ["jetson0"]}},
     )  # fmt: skip
     assert vehicles_in([b"", b"nonsense", encode(nameless)]) == {}
+    strange = msgspec.structs.replace(nameless, config={"vehicle": {"name": "a", "hosts": 3, "roadside_hosts": None}})
+    assert vehicles_in([encode(strange)]) == {}
