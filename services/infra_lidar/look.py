@@ -11,7 +11,7 @@ import typer
 from common.bus.look import AsJson, Look, Seconds, Seen, Watch, collect, show
 from common.bus.service_app import load_config
 from services.infra_lidar.config import InfraLidarConfig
-from services.infra_lidar.input.models import compile_decoder
+from services.infra_lidar.input.models import KINDS, compile_decoder
 from services.infra_lidar.input.packets import Frame
 from services.infra_lidar.input.senders import print_senders
 from services.infra_lidar.input.source import open_source
@@ -26,7 +26,8 @@ def looks(config: InfraLidarConfig, seconds: float) -> Iterator[Look]:
         ConfigError: the source cannot be opened as it is written.
     """
     kind = config.source.partition(":")[0]
-    compile_decoder(kind)  # on the first run it takes seconds; packets that wait for it would count as none
+    if kind in KINDS:
+        compile_decoder(kind)  # on the first run it takes seconds; packets that wait for it would count as none
     sensor = SENSORS.get(kind, "")
     for seen in collect(lambda report: open_source(config, report), seconds):
         yield describe(seen, sensor) if seen.items else seen.nothing("complete turn")
