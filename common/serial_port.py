@@ -13,9 +13,7 @@ PORT_ERRORS = (OSError, termios.error)
 def explain(port: str, error: Exception, was_open: bool) -> str:
     """The reason for an error of opening or reading ``port``; ``was_open`` = it has worked before."""
     number = getattr(error, "errno", None)
-    cause = (
-        error if isinstance(error, termios.error) else error.__context__
-    )  # of its cause pyserial keeps the text only
+    cause = error if isinstance(error, termios.error) else error.__context__  # pyserial keeps only the text of it
     if number is None and isinstance(cause, termios.error):
         number = cause.args[0]
     if number == errno.ENOENT and was_open:

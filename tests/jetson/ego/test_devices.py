@@ -18,7 +18,6 @@ import pytest
 
 from common.bus.status import Report
 from common.clock import monotonic_s
-from common.config import ConfigError
 from common.source_url import parse_source, source_kind
 from services.jetson.ego.config import CanConfig, EgoConfig, EncoderConfig, LimitsConfig, VescConfig
 from services.jetson.ego.devices import CanBus, Device, Encoder, GpioEdges, Imu, SerialLines, Vesc
@@ -228,17 +227,6 @@ def test_a_gyroscope_that_lost_its_power_for_a_moment_is_set_up_again(name: str,
     until(lambda: seen.motion.yaw_rate_radps == pytest.approx(0.349, abs=0.02), "set up again")
 
 
-def test_every_attempt_to_reach_a_gyroscope_lets_go_of_the_bus() -> None:
-    """One left open with each attempt, and after half an hour without the chip no file can be opened any more."""
-    chip = EmulatedImu("mpu6050", lambda: (0.0, 0.0, 20.0))
-    chip.present = False
-    device = Imu(parse_source("imu:mpu6050", SCHEMES), EgoConfig(), lambda bus, address: chip)
-    for attempt in range(1, 4):
-        with pytest.raises(OSError, match="Errno 121"):
-            next(iter(device.readings()))
-        assert chip.closed == attempt
-
-
 class Wheel:
     """Edges of a turning wheel, as they come by the clock."""
 
@@ -276,12 +264,6 @@ def test_an_encoder_turns_stands_and_is_lost(watch: Any, until: Until) -> None:
     wheel.lost = True
     until(lambda: "No such device" in seen.motion.reason, "lost")
     until(lambda: seen.motion.speed_mps is None, "unknown, not standing")
-
-
-@pytest.mark.parametrize("lines", ["a=5&b=5", "a=-1", "a=5&b=-2"])
-def test_lines_of_an_encoder_that_cannot_be(lines: str) -> None:
-    with pytest.raises(ConfigError, match="to be different lines, 0 or more"):
-        Encoder(parse_source(f"gpio:/dev/gpiochip0?{lines}", SCHEMES), EgoConfig())
 
 
 def test_libgpiod_is_asked_for_edges(monkeypatch: pytest.MonkeyPatch) -> None:
