@@ -42,11 +42,11 @@ class WaveformConfig(Section, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if self.end_frequency_hz <= self.start_frequency_hz:
-            raise ValueError("[waveform] end_frequency_hz: the ramp has to rise above start_frequency_hz")
+            raise ValueError("end_frequency_hz: the ramp has to rise above start_frequency_hz")
         if self.chirp_period_s <= self.samples / self.sample_rate_hz + self.sample_delay_s:
-            raise ValueError("[waveform] chirp_period_s: shorter than the time its samples take")
+            raise ValueError("chirp_period_s: shorter than the time its samples take")
         if self.frame_period_s < self.chirps * self.chirp_period_s:
-            raise ValueError("[waveform] frame_period_s: shorter than its chirps take")
+            raise ValueError("frame_period_s: shorter than its chirps take")
 
     @property
     def rx(self) -> tuple[int, ...]:
@@ -66,7 +66,7 @@ class SpiConfig(Section, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if self.reset_gpio == self.irq_gpio:
-            raise ValueError(f"[spi] reset_gpio and irq_gpio: both are {self.irq_gpio}, expected two lines")
+            raise ValueError(f"reset_gpio and irq_gpio: both are {self.irq_gpio}, expected two lines")
 
 
 class ProcessingConfig(Section, frozen=True, kw_only=True):
@@ -123,7 +123,7 @@ class AzimuthConfig(Section, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if self.left_rx == self.right_rx:
-            raise ValueError(f"[azimuth] left_rx and right_rx: both are {self.left_rx}, expected two receivers")
+            raise ValueError(f"left_rx and right_rx: both are {self.left_rx}, expected two receivers")
 
     @property
     def upright(self) -> AzimuthConfig:
