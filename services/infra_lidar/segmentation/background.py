@@ -16,6 +16,7 @@ import numpy as np
 from services.infra_lidar.config import BackgroundConfig
 from services.infra_lidar.input.range_image import RangeImage, Returns
 from services.infra_lidar.segmentation import background_kernels as kernels
+from services.infra_lidar.segmentation.azimuth import azimuth_of
 from services.infra_lidar.segmentation.background_kernels import MODES, NO_RETURN, Grid, RangeModes, Tolerance
 from services.infra_lidar.segmentation.ground_kernels import MAX_RANGE_M, MIN_RANGE_M
 
@@ -190,9 +191,9 @@ def locate(returns: Returns, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _azimuth(points: np.ndarray) -> np.ndarray:
-    """(N,) float32 rad; NumPy's arctan2 is vectorised, of columns in one piece; that of a kernel is not."""
+    """(N,) float32 rad, of points (N, 3+) float32."""
     x, y = (np.ascontiguousarray(points[:, axis]) for axis in (0, 1))
-    return np.asarray(np.arctan2(y, x))
+    return azimuth_of(x, y)
 
 
 def _first_cells(image: RangeImage, columns: int) -> np.ndarray:

@@ -24,7 +24,7 @@ def find_drops(levelled: Levelled, surface: np.ndarray, settings: GroundSettings
     """
     x, y, z = levelled.x, levelled.y, levelled.z
     unclipped = settings._replace(height_min_m=-np.inf)
-    cell = kernels.polar_cells(x, y, z, np.arctan2(y, x), unclipped)
+    cell = kernels.polar_cells(x, y, z, unclipped)
     deep, flat = _count(levelled, cell, surface.reshape(-1, 3), settings.below_m)
     shape = surface.shape[:2]
     deep, flat = _with_neighbours(deep.reshape(shape)), _with_neighbours(flat.reshape(shape))

@@ -63,8 +63,7 @@ class Ground:
         points = np.ascontiguousarray(points, np.float32)
         T = np.ascontiguousarray(T_level_sensor, np.float32)
         x, y, z, returns, near = kernels.level(points, T, self._settings.near_m)
-        azimuth = np.arctan2(y, x)  # NumPy's is vectorised
-        return Levelled(x, y, z, kernels.polar_cells(x, y, z, azimuth, self._settings), returns, near)
+        return Levelled(x, y, z, kernels.polar_cells(x, y, z, self._settings), returns, near)
 
     def remove_levelled(self, levelled: Levelled) -> Obstacles:
         """Fit the road to the points of a frame and take it away."""

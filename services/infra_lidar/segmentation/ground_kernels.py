@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from services.infra_lidar.jit import kernel
+from services.infra_lidar.segmentation.azimuth import azimuth_of
 
 CLIPPED = -1  # cell of a point outside the range or height limits
 MIN_RANGE_M, MAX_RANGE_M = np.float32(0.5), np.float32(1e4)  # nearer is the housing, or (0, 0, 0) for no return
@@ -80,9 +81,9 @@ def level(
 
 
 @kernel
-def polar_cells(x: np.ndarray, y: np.ndarray, z: np.ndarray, azimuth: np.ndarray, s: GroundSettings) -> np.ndarray:
-    """cell of ``Levelled``; azimuth: (N,) float32 rad, arctan2(y, x)."""
-    cell, sectors = np.empty(len(x), np.int32), np.int32(s.sectors)
+def polar_cells(x: np.ndarray, y: np.ndarray, z: np.ndarray, s: GroundSettings) -> np.ndarray:
+    """cell of ``Levelled``, of its x, y and z."""
+    azimuth, cell, sectors = azimuth_of(x, y), np.empty(len(x), np.int32), np.int32(s.sectors)
     range_max_m, low_m, high_m = np.float32(s.range_max_m), np.float32(s.height_min_m), np.float32(s.height_max_m)
     per_m, per_rad = np.float32(1.0 / s.ring_m), np.float32(s.sectors / (2.0 * np.pi))
     for i in range(len(x)):
