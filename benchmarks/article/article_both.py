@@ -15,14 +15,15 @@ from benchmarks.article.plain_infra_lidar import PlainPipeline, Tracker, feature
 from benchmarks.article.presets import ARTICLE_CLUSTERING, ARTICLE_GROUND, ARTICLE_TRACKING
 from benchmarks.article.second_look import refine_clusters
 from benchmarks.infra_lidar.frames import Frame, frames_of
-from services.infra_lidar.classification.classes import CLASSES, LABELS
+from services.infra_lidar.classification.classes import CLASSES
 from services.infra_lidar.classification.classifier import Classifier
 from services.infra_lidar.classification.features import compute_features
 from services.infra_lidar.classification.forest import Forest
 from services.infra_lidar.clustering.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import ClassifierConfig
 from services.infra_lidar.segmentation.ground import Ground
-from services.infra_lidar.tracking import Detections, MultiObjectTracker
+from services.infra_lidar.tracking import MultiObjectTracker
+from services.infra_lidar.tracking.detections import detection_records
 from services.infra_lidar.training.train import flatten
 
 TRAINING_SCENES = 5
@@ -106,11 +107,10 @@ class ArticleByKernels:
         classified = self._classifier.classify(article_table(found))
         t = self.timed.add("classify", t)
         centres, (objects,) = found.means, classified.labels.nonzero()
-        names = [LABELS[i] for i in classified.labels[objects].tolist()]
-        box = found.box[objects]
+        box = np.hstack((centres[objects], found.box[objects, 3:]))
+        labels, confidence = classified.labels[objects], classified.confidence[objects]
         self._stamp_ns += 100_000_000
-        seen = Detections(centres[objects], box[:, 3:6], box[:, 6], names, classified.confidence[objects])
-        self.tracker.step(self._stamp_ns, seen.records())
+        self.tracker.step(self._stamp_ns, detection_records(box, labels, confidence, T_map_source=np.eye(4)))
         self.timed.add("track", t)
         return {"centres": centres, "labels": classified.labels}
 

@@ -75,20 +75,27 @@ def sorted_into_cells(points: np.ndarray) -> CellGrid:
         extent[axis] = points[:, axis].max() - low[axis]
     faces_m2 = extent[0] * extent[1] + extent[1] * extent[2] + extent[2] * extent[0]
     size_m = max(math.sqrt(POINTS_A_CELL * faces_m2 / n), 1e-3, extent.max() / 1000.0)
-    shape = (extent / size_m).astype(np.int64) + 1
+    per_m = np.float32(1.0 / size_m)
+    shape = (extent * per_m).astype(np.int64) + 1  # as the points below, to the last digit
     while shape.prod() > 8 * n + 64:
         size_m *= 1.5
-        shape = (extent / size_m).astype(np.int64) + 1
-    cell, start = np.empty(n, np.int64), np.zeros(shape.prod() + 1, np.int64)
+        per_m = np.float32(1.0 / size_m)
+        shape = (extent * per_m).astype(np.int64) + 1
+    x0, y0, z0 = low[0], low[1], low[2]
+    columns, rows = np.int32(shape[0]), np.int32(shape[1])
+    cell, start = np.empty(n, np.int32), np.zeros(shape.prod() + 1, np.int32)
     for i in range(n):
-        x, y = int((points[i, 0] - low[0]) / size_m), int((points[i, 1] - low[1]) / size_m)
-        cell[i] = (int((points[i, 2] - low[2]) / size_m) * shape[1] + y) * shape[0] + x
-        start[cell[i] + 1] += 1
-    start = start.cumsum()
+        x, y = np.int32((points[i, 0] - x0) * per_m), np.int32((points[i, 1] - y0) * per_m)
+        cell[i] = (np.int32((points[i, 2] - z0) * per_m) * rows + y) * columns + x
+    for c in cell:
+        start[c + 1] += 1
+    for c in range(1, len(start)):
+        start[c] += start[c - 1]
     to, placed = start.copy(), np.empty((n, 3), np.float32)
     for i in range(n):
-        placed[to[cell[i]]] = points[i]
-        to[cell[i]] += 1
+        place = to[cell[i]]
+        to[cell[i]] = place + 1
+        placed[place, 0], placed[place, 1], placed[place, 2] = points[i, 0], points[i, 1], points[i, 2]
     return CellGrid(placed, start, low, shape, size_m)
 
 

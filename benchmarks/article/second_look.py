@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from services.infra_lidar.clustering.boxes import group_by_label
+from services.infra_lidar.clustering.boxes import group_by_label, keep_groups
 from services.infra_lidar.clustering.clustering import ClusterPoints
 from services.infra_lidar.jit import kernel
 
@@ -34,10 +34,19 @@ ALL = Refinements()
 
 def refine_clusters(clusters: ClusterPoints, options: Refinements = ALL) -> ClusterPoints:
     """Clusters as the article refines them; the gap to the road of a box is its lowest z."""
-    points = np.column_stack((clusters.points, clusters.points[:, 2]))
+    points = _with_height(clusters.points)
     label = refined_labels(points, clusters.offsets, clusters.box, options)
     groups = group_by_label(points, clusters.members, label, len(label))
-    return ClusterPoints(np.ascontiguousarray(groups.points[:, :3]), groups.members, groups.offsets, groups.box)
+    return ClusterPoints(*keep_groups(groups, np.ones(len(groups.box), np.bool_)))
+
+
+@kernel
+def _with_height(points: np.ndarray) -> np.ndarray:
+    """(S, 4) float32: x, y, z and, as height above the road, z again."""
+    out = np.empty((len(points), 4), np.float32)
+    for i in range(len(points)):
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = points[i, 0], points[i, 1], points[i, 2], points[i, 2]
+    return out
 
 
 @kernel
