@@ -2,29 +2,39 @@
 
     python -m services.infra_lidar.warm_up      # ahead of the first start, also for the simulated sensor
 
-Compiled kernels are kept on disk, see ``jit.py``.
+Compiled kernels are kept on disk, see ``jit.py``. Numba compiles one kernel at a time, so the first start of all has
+a second process compile a part of them.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from contextlib import suppress
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 
 import numpy as np
 from msgspec.structs import replace
 
 from common.stopwatch import Stopwatch
+from services.infra_lidar.calibration.monitor import CalibrationMonitor
+from services.infra_lidar.classification.classifier import Classifier
+from services.infra_lidar.clustering.clustering import Clustering
 from services.infra_lidar.config import CalibrationConfig, InfraLidarConfig
 from services.infra_lidar.input.models import KINDS, compile_decoder
-from services.infra_lidar.input.range_image import RangeImage
+from services.infra_lidar.input.range_image import RangeImage, Returns
 from services.infra_lidar.jit import CACHE, COMPLETE, KEPT
 from services.infra_lidar.pipeline import InfraLidarPipeline
+from services.infra_lidar.segmentation.ground import Obstacles
+from services.infra_lidar.segmentation.scene import Scene
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
 
 log = logging.getLogger(__name__)
 
 DONE = CACHE / COMPLETE
+CLUSTERS = "clusters"  # the argument of the second process
 FRAMES = (*range(9), 60)  # at 0.1 s each: learning, its end, beyond, and the next check of the calibration
 PERIOD_NS = 100_000_000
 HEIGHT_M = 4.0  # of the made-up sensor above its road
@@ -41,20 +51,42 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
     watch, image = Stopwatch(), made_up_revolution()
     calibration = CalibrationConfig(frames=1, hypotheses=16)  # the made-up sensor stands level, the real one may not
     background = replace(config.background, learn_s=0.1, min_frames=5)
+    kinds = kinds_that_may_come(config.source)
     config = replace(config, calibration=calibration, background=background, T_map_sensor=())
+    with second_compiler():
+        for returns in (image.points, image):
+            segment(config, returns)
+        for kind in kinds:
+            compile_decoder(kind)
+        track_two_people(MultiObjectTracker(config.tracking))
     for returns in (image.points, image):
         pipeline = InfraLidarPipeline(config)
         for k in FRAMES:
             pipeline.process((10 + k) * PERIOD_NS, returns)
-    track_two_people(MultiObjectTracker(config.tracking))
-    for kind in kinds_that_may_come(config.source):
-        compile_decoder(kind)
     if KEPT:
         with suppress(OSError):  # the disk has become full: the next start compiles what is missing
             DONE.touch()
     watch.lap("warm-up")
     log.info("kernels ready after %.1f s", watch.stage_ms["warm-up"] / 1e3)
     return watch.stage_ms["warm-up"]
+
+
+@contextmanager
+def second_compiler() -> Iterator[None]:
+    """Meanwhile compile clustering and classification in a process of its own, where there is a core for it.
+
+    What it does not compile, for whatever reason, this process does.
+    """
+    if DONE.exists() or not KEPT or len(os.sched_getaffinity(0)) < 2:
+        yield
+        return
+    command = [sys.executable, "-m", "services.infra_lidar.warm_up", CLUSTERS]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield
+        process.wait()
+    finally:
+        process.kill()
 
 
 def kinds_that_may_come(source: str) -> tuple[str, ...]:
@@ -83,6 +115,28 @@ def made_up_revolution() -> RangeImage:
     return RangeImage(range_m.astype(np.float32), intensity, cos, sin, bank, beams)
 
 
+def segment(config: InfraLidarConfig, returns: Returns) -> None:
+    """Calibrate, learn the background and subtract it."""
+    monitor, nobody = CalibrationMonitor(config.calibration, None), np.zeros(len(returns), np.float32)
+    scene = Scene(config, monitor, None)
+    for k in FRAMES:
+        segmentation = scene.segment((10 + k) * PERIOD_NS, returns, monitor.update(returns))
+        scene.learn((10 + k) * PERIOD_NS, returns, segmentation, nobody, nobody)
+
+
+def cluster_and_classify(config: InfraLidarConfig) -> None:
+    """Cluster points inside the boxes and classify the clusters."""
+    rng = np.random.default_rng(7)
+    low, high = (
+        np.array([[x + s * length, y + s * width, (0.5 + s) * height] for x, y, length, width, height in BOXES])
+        for s in (-0.5, 0.5)
+    )
+    xyz = rng.uniform(low, high, (400, len(BOXES), 3)).reshape(-1, 3).astype(np.float32)
+    obstacles = Obstacles(np.column_stack((xyz, xyz[:, 2])), np.arange(len(xyz), dtype=np.int32), np.empty(0, bool))
+    found = Clustering(config.clustering, config.ground.range_max_m).cluster(obstacles)
+    Classifier(config.classifier).extract_and_classify(found, np.zeros(len(found), np.float32))
+
+
 def track_two_people(tracker: MultiObjectTracker) -> None:
     """Two people side by side, then so close that they are one cluster, which the tracker divides."""
     for k, (y_m, width_m) in enumerate([([0.0, 0.8], 0.5)] * 12 + [([0.4], 1.3)]):
@@ -93,7 +147,10 @@ def track_two_people(tracker: MultiObjectTracker) -> None:
 
 
 def main() -> None:
-    """Compile all kernels for this processor, and those of the simulated sensor."""
+    """Compile all kernels for this processor, and those of the simulated sensor; or ``CLUSTERS`` only."""
+    if CLUSTERS in sys.argv[1:]:
+        cluster_and_classify(InfraLidarConfig())
+        return
     from spotter_sim import lidar128
 
     logging.basicConfig(level=logging.INFO, format="%(message)s")

@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 from services.infra_lidar import jit
+from services.infra_lidar import warm_up as warming
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.jit import CACHE, cache_folder, copy_shipped
 from services.infra_lidar.tracking.tracker import MultiObjectTracker
-from services.infra_lidar.warm_up import kinds_that_may_come, track_two_people, warm_up
+from services.infra_lidar.warm_up import CLUSTERS, kinds_that_may_come, second_compiler, track_two_people, warm_up
 
 WHAT_FRAMES_COMPILE = """
 import sys
@@ -69,6 +70,26 @@ def test_a_second_warm_up_loads_what_the_first_has_compiled():
     warm_up(InfraLidarConfig(), told.append)
     warm_up(InfraLidarConfig(), told.append)
     assert told[-1] == "loading kernels"
+
+
+def test_the_second_compiler_ends_by_itself_and_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    started: list[subprocess.Popen[bytes]] = []
+
+    class Noted(subprocess.Popen):  # type: ignore[type-arg]
+        def __init__(self, command: list[str], **options: object) -> None:
+            super().__init__(command, **options)  # type: ignore[call-overload]
+            started.append(self)
+
+    monkeypatch.setattr(warming.subprocess, "Popen", Noted)
+    monkeypatch.setattr(warming.os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(warming, "KEPT", True)
+    monkeypatch.setattr(warming, "DONE", tmp_path / "complete")
+    with second_compiler():
+        assert started[0].args == [sys.executable, "-m", "services.infra_lidar.warm_up", CLUSTERS]
+    assert started[0].returncode == 0
+    (tmp_path / "complete").touch()
+    with second_compiler():
+        assert len(started) == 1  # all is compiled
 
 
 def test_the_two_people_of_the_warm_up_end_in_one_cluster_that_is_divided():
