@@ -15,7 +15,7 @@ import numpy as np
 from services.infra_lidar.clustering.attach_returns import attach_single_returns
 from services.infra_lidar.clustering.boxes import Groups, group_by_label, join_groups, keep_groups
 from services.infra_lidar.clustering.grid import CellGrid, cells_of
-from services.infra_lidar.clustering.label import CellLabeller, extract_overhang, tall_components
+from services.infra_lidar.clustering.label import CellLabeller, drop_strays, extract_overhang, tall_components
 from services.infra_lidar.clustering.merge_vehicles import footprints, merge_fragments
 from services.infra_lidar.clustering.split_people import split_pedestrian_groups
 from services.infra_lidar.config import ClusteringConfig
@@ -105,8 +105,11 @@ class Clustering:
         tall = tall_components(above_m, label, components, body_m, np.float32(self._config.max_height_m))
         overhang = extract_overhang(above_m, label, tall, body_m)
         if len(overhang):
-            own, _ = self._cells.label(cell[overhang], np.ones(len(overhang), np.bool_))
+            own, more = self._cells.label(cell[overhang], np.ones(len(overhang), np.bool_))
             label[overhang] = np.where(own >= 0, own + components, -1)
+            components += more
+        if self._config.body_height_m:
+            drop_strays(above_m, label, components)
         return label
 
     def _has_possible_size(self, groups: Groups) -> np.ndarray:

@@ -15,6 +15,9 @@ from services.infra_lidar.jit import kernel
 BAND_M = np.float32(0.4)  # a component with points in this uppermost part of the body height continues above it
 TALL_SHARE = 0.03  # of its points
 TALL_POINTS = 3
+STRAY_SHARE = 0.01  # of a component's points at most are strays
+STRAY_GAP_M = np.float32(0.4)  # and at least this far above all others
+LAYER_M, LAYERS = np.float32(0.1), 64  # heights are counted in layers of this thickness
 
 
 class CellLabeller:
@@ -144,3 +147,45 @@ def extract_overhang(above_m: np.ndarray, label: np.ndarray, tall: np.ndarray, b
             overhang[number] = i
             number += 1
     return overhang[:number]
+
+
+@kernel
+def drop_strays(above_m: np.ndarray, label: np.ndarray, components: int) -> None:
+    """Write -1 to the label of the few returns that hang above all others of their component.
+
+    Leaves over a car, birds and mixed pixels: three of them above 875 returns made a car higher than cars are.
+
+    above_m: (M,) float32, height above the local road. label: (M,) int32, component of each point, -1 = none.
+    """
+    number, row = np.zeros(components, np.int32), np.full(components, -1, np.int32)
+    for k in label:
+        if k >= 0:
+            number[k] += 1
+    large = np.flatnonzero(number * STRAY_SHARE >= 1.0)
+    row[large] = np.arange(len(large))
+    count, limit_m = _layer_counts(above_m, label, row), np.full(components, np.inf, np.float32)
+    for k in large:
+        limit_m[k] = _top_of_body(count[row[k]], int(number[k] * STRAY_SHARE)) + STRAY_GAP_M
+    for i in range(len(label)):
+        if label[i] >= 0 and above_m[i] > limit_m[label[i]]:
+            label[i] = -1
+
+
+@kernel
+def _layer_counts(above_m: np.ndarray, label: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """(R, LAYERS) int32: points in each layer of the components with a row; row: (K,) int32, -1 = none."""
+    count = np.zeros((row.max() + 1 if len(row) else 0, LAYERS), np.int32)
+    for i in range(len(label)):
+        if label[i] >= 0 and row[label[i]] >= 0:
+            count[row[label[i]], min(max(int(above_m[i] / LAYER_M), 0), LAYERS - 1)] += 1
+    return count
+
+
+@kernel
+def _top_of_body(count: np.ndarray, strays: int) -> np.float32:
+    """Upper end (m) of the highest layer that has more than ``strays`` points in it and above; count: (LAYERS,)."""
+    layer, above = len(count) - 1, count[-1]
+    while above <= strays and layer > 0:
+        layer -= 1
+        above += count[layer]
+    return LAYER_M * np.float32(layer + 1) if layer < len(count) - 1 else np.float32(np.inf)

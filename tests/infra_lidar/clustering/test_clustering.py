@@ -194,3 +194,17 @@ def test_every_point_is_in_one_cluster_at_most_whatever_is_attached(seed):
     assert len(np.unique(found.members)) == len(found.members) == found.offsets[-1] == found.counts.sum()
     assert (found.counts >= ClusteringConfig().min_points).all()
     assert np.array_equal(found.cluster_id(len(owner))[found.members], np.repeat(np.arange(len(found)), found.counts))
+
+
+@pytest.mark.parametrize(
+    ("above_roof_m", "number", "stray"),
+    [(0.6, 3, True), (0.6, 30, False), (0.2, 3, False), (0.6, 0, False)],
+    ids=["three returns over the roof", "a box on the roof", "an aerial", "nothing"],
+)
+def test_few_returns_far_above_a_car_are_not_its_own(above_roof_m, number, stray):
+    car = solid(12, 0, 4.2, 1.8, 0.2, 1.5, n=600)
+    above = np.tile(np.array([12.0, 0.0, 1.5 + above_roof_m], np.float32), (number, 1))
+    found, owner = _cluster(car, above)
+    (k,) = _own(found, owner)[0]
+    assert (np.unique(owner[found.members]).tolist() == [0]) == (stray or not number)
+    assert found.box[k, 5] == pytest.approx(1.3 if stray or not number else 1.3 + above_roof_m, abs=0.05)
