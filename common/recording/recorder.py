@@ -8,6 +8,7 @@ import shutil
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -123,6 +124,8 @@ class Recorder:
         """One line for a disk that takes no more: why, which file, and up to when it holds."""
         if file is None:
             return f"{self._options.folder}: {error.strerror}; no new file could be begun"
+        if not file.messages:
+            return f"{file.path}: {error.strerror}; recording stopped before the first message, no file is left"
         if not file.held_ns:
             return f"{file.path}: {error.strerror}; recording stopped, the file holds nothing"
         until = datetime.fromtimestamp(file.held_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
@@ -209,18 +212,24 @@ class Recorder:
         file.add_json("/recorder/status", "spotter.RecorderStatus", json.dumps(content).encode(), utc_ns())
 
     def _new_file(self) -> RecordingFile:
-        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-        path = self._options.folder / f"spotter-{stamp}-{self._index:03d}.mcap"
-        self._index += 1
-        file = RecordingFile(path, self._metadata)
+        file = self._begin_file()
         if self._options.foxglove:
             from common.recording.foxglove import static_transforms
 
             now_ns = utc_ns()
             for transform in static_transforms(now_ns):
                 file.add_foxglove("/tf", transform, now_ns, now_ns)
-        self.status.file = str(path)
+        self.status.file = str(file.path)
         return file
+
+    def _begin_file(self) -> RecordingFile:
+        """Under a name that is not there: another recorder may have begun one in this folder in the same second."""
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+        while True:
+            path = self._options.folder / f"spotter-{stamp}-{self._index:03d}.mcap"
+            self._index += 1
+            with suppress(FileExistsError):
+                return RecordingFile(path, self._metadata)
 
     def _guard_disk(self) -> None:
         free = shutil.disk_usage(self._options.folder).free

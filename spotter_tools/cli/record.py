@@ -77,16 +77,18 @@ def record(
     name = host or certified_name() or this_machine()
     with bus(connect, namespace) as session, bus(connect, namespace) as witness:
         recorder = Recorder(session, chosen, options, _metadata(session, namespace))
-        watch = _Watch(RecorderPresence(session, name, witness), name, seconds, stop)
+        watch, failed = _Watch(RecorderPresence(session, name, witness), name, seconds, stop), ""
         try:
             recorder.run(stop, watch.tell)
         except DiskFull as error:
-            fail(str(error))
+            failed = str(error)
         except OSError as error:
-            fail(f"{error.filename or folder}: {error.strerror}; nothing can be recorded there")
+            failed = f"{error.filename or folder}: {error.strerror}; nothing can be recorded there"
         finally:
             recorder.close()
-            watch.end(recorder.status)
+            watch.end(recorder.status, failed)
+    if failed:
+        fail(failed)
     _conclude(recorder.status, watch.words(recorder.status), as_json)
 
 
@@ -111,9 +113,9 @@ class _Watch:
             sys.stderr.write(f"  {NOT_SHOWN.format(name=self._name)}\n")
         self._progress.share(into_s, self._seconds, f"{into_s:.0f} s  {self.words(status)}")
 
-    def end(self, status: RecorderStatus) -> None:
-        """The recording has ended."""
-        self._presence.end(status)
+    def end(self, status: RecorderStatus, failed: str) -> None:
+        """The recording has ended; ``failed``: why, if nobody wanted it to."""
+        self._presence.end(status, failed)
         self._progress.close()
 
 

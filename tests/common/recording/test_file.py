@@ -6,6 +6,7 @@ import errno
 import io
 import json
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,7 @@ from common.recording.reader import (
 KEY = "jetson0/fusion/verdict"
 Make = Callable[..., Verdict]
 Recorded = Callable[..., Path]
+Limit = Callable[[int], AbstractContextManager[None]]
 
 
 def test_messages_come_back_byte_for_byte(recording_of: Recorded, verdict: Make) -> None:
@@ -59,6 +61,19 @@ def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
     with pytest.raises(FileExistsError):
         RecordingFile(path, {})
     assert path.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("note", ["", "x" * 300_000], ids=["little to say", "much to say"])
+def test_a_file_that_cannot_be_begun_is_not_left_behind(tmp_path: Path, file_size_limit: Limit, note: str) -> None:
+    with file_size_limit(10), pytest.raises(OSError, match="File too large"):
+        RecordingFile(tmp_path / "a.mcap", {"spotter": {"note": note}}).close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_to_be_whole_is_not_left_behind_when_its_writing_is_ended(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), RecordingFile(tmp_path / "a.mcap", {}, whole=True):
+        raise KeyboardInterrupt
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_cut_file_is_read_up_to_its_last_whole_chunk(recording_of: Recorded) -> None:
