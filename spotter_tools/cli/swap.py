@@ -70,10 +70,11 @@ def swap(
     with bus(connect, namespace) as session:
         outcome, live = run_swap(session, order, _say)
     print(msgspec.json.encode(outcome).decode() if as_json else "\n".join(_lines(order, outcome)), flush=True)
+    kept = 0
     if live is not None and not leave:
         _say(f"minding process {live.process.pid}: started again when it dies; Ctrl-C stops it")
-        keep(service, live, _say)
-    raise SystemExit(0 if outcome.promoted or (dry_run and not outcome.reasons) else 1)
+        kept = keep(service, live, _say)
+    raise SystemExit(kept or (0 if outcome.promoted or (dry_run and not outcome.reasons) else 1))
 
 
 def _check_command(option: str, command: str) -> None:
