@@ -22,6 +22,7 @@ from spotter_tools.cli.connect import (
     bus,
     certified_name,
     namespace_in_use,
+    own_name,
 )
 from spotter_tools.cli.fail import fail, needs_extra
 from spotter_tools.cli.progress import Progress
@@ -53,7 +54,12 @@ def record(
     rotate_minutes: Annotated[float, typer.Option(help="... or minutes.")] = 60.0,
     foxglove: Annotated[bool, typer.Option(help="Foxglove's own schemas beside ours.")] = True,
     host: Annotated[
-        str, typer.Option(envvar="SPOTTER_HOST", help="Under which name the dashboard shows it: certificate, machine.")
+        str,
+        typer.Option(
+            envvar="SPOTTER_HOST",
+            callback=own_name,
+            help="Under which name the dashboard shows it: certificate, machine.",
+        ),
     ] = "",
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "",

@@ -12,7 +12,7 @@ import msgspec
 import typer
 
 from common.topics import service_row
-from spotter_tools.cli.connect import DEFAULT_ENDPOINT, Connect, Namespace, bus, namespace_in_use
+from spotter_tools.cli.connect import DEFAULT_ENDPOINT, Connect, Namespace, bus, namespace_in_use, own_name
 from spotter_tools.cli.fail import fail
 from spotter_tools.swap.compare import Limits
 from spotter_tools.swap.keep import keep
@@ -28,7 +28,9 @@ def swap(
     min_rate: Annotated[float, typer.Option(help="Of the live rate.")] = Limits().rate,
     min_matches: Annotated[float, typer.Option(help="Of the objects of both.")] = Limits().matches,
     max_weaker: Annotated[float, typer.Option(help="Share of messages with a lower level.")] = Limits().weaker,
-    host: Annotated[str, typer.Option("--host", help="Where it runs, if not where the topics table says.")] = "",
+    host: Annotated[
+        str, typer.Option("--host", callback=own_name, help="Where it runs, if not where the topics table says.")
+    ] = "",
     stop: Annotated[
         str, typer.Option("--stop", help="How its supervisor stops the old one, e.g. 'systemctl stop spotter-radar'.")
     ] = "",
