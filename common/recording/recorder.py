@@ -6,6 +6,7 @@ import json
 import queue
 import shutil
 import threading
+import uuid
 from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -21,6 +22,7 @@ from common.codec import DecodeError, decode
 from common.messages import Message
 from common.periodic import Periodic
 from common.recording.file import RecordingFile
+from common.recording.reader import WRITTEN_BY
 from common.topics import RECORDER, Topic, find_topic
 
 FLUSH_PERIOD_S = 0.5
@@ -84,7 +86,7 @@ class Recorder:
         self._overflow = 0
         self._next_seq: dict[str, int] = {}
         self._gaps: Counter[str] = Counter()
-        self._index = 0
+        self._name, self._index = uuid.uuid4().hex, 0  # in its files: which belong together, in which order
         self._subscribers = [
             session.declare_subscriber(topic.any_host, zenoh.handlers.RingChannel(RING_PER_TOPIC)) for topic in topics
         ]
@@ -227,9 +229,10 @@ class Recorder:
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
         while True:
             path = self._options.folder / f"spotter-{stamp}-{self._index:03d}.mcap"
+            written_by = {"recorder": self._name, "file": str(self._index)}
             self._index += 1
             with suppress(FileExistsError):
-                return RecordingFile(path, self._metadata)
+                return RecordingFile(path, {WRITTEN_BY: written_by, **self._metadata})
 
     def _guard_disk(self) -> None:
         free = shutil.disk_usage(self._options.folder).free

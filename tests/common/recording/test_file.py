@@ -16,6 +16,7 @@ from common.codec import encode
 from common.messages import Verdict
 from common.recording.file import RecordingFile
 from common.recording.reader import (
+    WRITTEN_BY,
     RecordingError,
     expected_messages,
     files_in,
@@ -126,6 +127,24 @@ def test_a_folder_is_its_files_in_order(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     assert [path.name for path in files_in(tmp_path)] == ["spotter-1-000.mcap", "spotter-1-001.mcap"]
     assert files_in(tmp_path / "notes.txt") == [tmp_path / "notes.txt"]
+
+
+def test_files_of_one_recorder_go_by_its_own_count_also_where_the_clock_was_set_back(tmp_path: Path) -> None:
+    written = [
+        ("spotter-20260314T120000Z-000.mcap", "b", 0),
+        ("spotter-20260314T120500Z-001.mcap", "b", 1),
+        ("spotter-20260314T100000Z-002.mcap", "b", 2),  # the clock was set back by two hours
+        ("spotter-20260314T110000Z-000.mcap", "a", 0),  # of another recorder, before
+    ]
+    for name, recorder, number in written:
+        with RecordingFile(tmp_path / name, {WRITTEN_BY: {"recorder": recorder, "file": str(number)}}):
+            pass
+    RecordingFile(tmp_path / "spotter-20260314T113000Z-000.mcap", {}).close()  # of an older version
+    (tmp_path / "spotter-20260314T130000Z-000.mcap").write_bytes(b"damaged")
+    whole = tmp_path / written[1][0]
+    whole.write_bytes(whole.read_bytes()[:200])  # its recorder was killed
+    hours = [path.name.split("T")[1][:4] for path in files_in(tmp_path)]
+    assert hours == ["1100", "1130", "1200", "1205", "1000", "1300"]
 
 
 def test_what_cannot_be_read_at_all_is_told_as_such(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from common.codec import decode, encode
 from common.config import ServiceConfig, ZenohConfig
 from common.messages import LidarZones
 from common.recording.file import RecordingFile
-from common.recording.reader import read, summarise
+from common.recording.reader import files_in, read, summarise
 from common.recording.recorder import Arrival, DiskFull, Recorder, RecorderOptions
 
 Zones = Callable[[int], LidarZones]
@@ -100,8 +100,10 @@ def test_files_rotate_by_size_and_none_is_lost_at_the_seam(
                 enough.wait(0.01)
 
         run_recorder(recorder, feed, 52)
-    paths = sorted(tmp_path.glob("*.mcap"), key=lambda path: path.stem[-3:])
+    files_in(tmp_path)[-1].rename(tmp_path / "spotter-19700101T000000Z-000.mcap")  # as if the clock had been set back
+    paths = files_in(tmp_path)
     assert len(paths) >= 2
+    assert paths[-1].name == "spotter-19700101T000000Z-000.mcap"
     stamps = [decode(one.payload, LidarZones).stamp_ns for path in paths for one in read(path)]
     assert stamps == list(range(len(stamps)))
 
