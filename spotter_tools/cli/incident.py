@@ -114,7 +114,8 @@ def _merged(capsules: dict[str, Path], fusion_host: str, target: Path) -> dict[s
     try:
         return merge(capsules, fusion_host, target)
     except RecordingError as error:
-        fail(f"the capsules cannot be merged: {str(error).rpartition('/')[2]}")
+        damage = str(error).rpartition("/")[2]  # without the folder that they were fetched into
+        fail(f"the capsules cannot be merged: {damage}")
 
 
 def _incidents_of_hosts(session: zenoh.Session) -> dict[str, list[str]]:

@@ -83,18 +83,18 @@ def record(
     name = host or certified_name() or this_machine()
     with bus(connect, namespace) as session, bus(connect, namespace) as witness:
         recorder = Recorder(session, chosen, options, _metadata(session, namespace))
-        watch, failed = _Watch(RecorderPresence(session, name, witness), name, seconds, stop), ""
+        watch = _Watch(RecorderPresence(session, name, witness), name, seconds, stop)
         try:
             recorder.run(stop, watch.tell)
         except DiskFull as error:
-            failed = str(error)
+            watch.failed = str(error)
+            fail(str(error))
         except OSError as error:
-            failed = f"{error.filename or folder}: {error.strerror}; nothing can be recorded there"
+            watch.failed = f"{error.filename or folder}: {error.strerror}"
+            fail(f"{error.filename or folder}: {error.strerror}; nothing can be recorded there")
         finally:
             recorder.close()
-            watch.end(recorder.status, failed)
-    if failed:
-        fail(failed)
+            watch.end(recorder.status)
     _conclude(recorder.status, watch.words(recorder.status), as_json)
 
 
@@ -103,6 +103,7 @@ class _Watch:
 
     def __init__(self, presence: RecorderPresence, name: str, seconds: float, stop: threading.Event) -> None:
         self.words = presence.words
+        self.failed = ""  # why it has ended, if nobody wanted it to
         self._presence, self._name = presence, name
         self._seconds, self._stop = seconds, stop
         self._started_s, self._progress = monotonic_s(), Progress()
@@ -119,9 +120,9 @@ class _Watch:
             sys.stderr.write(f"  {NOT_SHOWN.format(name=self._name)}\n")
         self._progress.share(into_s, self._seconds, f"{into_s:.0f} s  {self.words(status)}")
 
-    def end(self, status: RecorderStatus, failed: str) -> None:
-        """The recording has ended; ``failed``: why, if nobody wanted it to."""
-        self._presence.end(status, failed)
+    def end(self, status: RecorderStatus) -> None:
+        """The recording has ended."""
+        self._presence.end(status, self.failed)
         self._progress.close()
 
 

@@ -32,7 +32,11 @@ def check_certificate(site: Site, name: str, keys: Path) -> Iterator[Finding]:
     if stat.S_IMODE(files[2].stat().st_mode) & 0o077:
         yield broken("private key", f"{files[2]} can be read by others", f"chmod 600 {files[2]}")
     if damage := authority_damage(files[0]):
-        yield broken("authority", damage, f"unpack it again from what `spotter keys bundle {name}` packs")
+        yield broken(
+            "authority",
+            f"the authority's certificate {files[0]} cannot be read: {damage}",
+            f"unpack it again from what `spotter keys bundle {name}` packs",
+        )
         return
     try:
         certificate = peer_certificate(*files)
@@ -53,8 +57,7 @@ def authority_damage(authority: Path) -> str:
     try:
         ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_verify_locations(authority)
     except OSError as error:  # ssl.SSLError is one
-        why = "no certificate, or a damaged one" if isinstance(error, ssl.SSLError) else error.strerror
-        return f"{authority}, the authority's certificate, cannot be read: {why}"
+        return "no certificate, or a damaged one" if isinstance(error, ssl.SSLError) else str(error.strerror)
     return ""
 
 

@@ -37,7 +37,8 @@ class OwnFiles:
 def own_fault(files: OwnFiles) -> LinkFault | None:
     """What keeps this host from every link: its own clock or certificate, or its copy of the authority's."""
     if damage := authority_damage(files.authority):
-        return LinkFault(cause="certificate", why=f"{damage}: copy ca.crt here again")
+        why = f"the authority's certificate {files.authority} cannot be read: {damage}: copy ca.crt here again"
+        return LinkFault(cause="certificate", why=why)
     try:
         peer_certificate(files.authority, files.certificate, files.key)
     except (ssl.SSLError, OSError) as error:

@@ -78,7 +78,7 @@ def test_a_damaged_certificate_of_the_authority_is_not_blamed_on_the_host_s(own_
     authority_file = own_keys / "ca.crt"
     authority_file.write_bytes(authority_file.read_bytes()[:left])
     (found,) = check_certificate(Site(), "pi0", own_keys)
-    said = f"{authority_file}, the authority's certificate, cannot be read: no certificate, or a damaged one"
+    said = f"the authority's certificate {authority_file} cannot be read: no certificate, or a damaged one"
     assert (found.grade, found.check, found.what) == ("broken", "authority", said)
     assert found.do == "unpack it again from what `spotter keys bundle pi0` packs"
     fault = own_fault(OwnFiles(authority_file, own_keys / "pi0.crt", own_keys / "pi0.key"))
