@@ -23,28 +23,40 @@ CHUNK_BYTES = 1 << 20
 class RecordingFile:
     """Use it in a ``with`` statement; leaving it writes the index and the statistics.
 
+    A file to which the disk gave no room for a single message is removed; with ``whole`` every one that does not come
+    to its end, whatever ended it.
+
     Raises:
         FileExistsError: never overwrites a recording.
+        OSError: it cannot be begun; nothing is left of it.
     """
 
-    def __init__(self, path: Path, metadata: dict[str, dict[str, str]]) -> None:
+    def __init__(self, path: Path, metadata: dict[str, dict[str, str]], *, whole: bool = False) -> None:
         self.path = path
+        self._whole = whole
         self.messages = 0
         self.held_ns = 0  # log time of the newest message that was handed to the kernel; 0 = none
         self._newest_ns = 0
         self._stream: BufferedWriter = path.open("xb")
         self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        try:
+            self._begin(metadata)
+        except OSError:
+            self.abandon()
+            raise
+
+    def _begin(self, metadata: dict[str, dict[str, str]]) -> None:
         self._writer.start(profile="spotter", library="spotter")
         for name, values in metadata.items():
             self._writer.add_metadata(name, values)
-        self._schemas: dict[str, int] = {}
-        self._channels: dict[str, int] = {}
 
     def __enter__(self) -> RecordingFile:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None and issubclass(kind, OSError):
+        if kind is not None and (self._whole or issubclass(kind, OSError)):
             self.abandon()
         else:
             self.close()
@@ -98,9 +110,11 @@ class RecordingFile:
             self._stream.close()
 
     def abandon(self) -> None:
-        """Close a file that can no longer be written. It has no index and is readable up to ``held_ns``."""
+        """Close a file that can no longer be written. What is left has no index and is readable up to ``held_ns``."""
         with suppress(OSError):  # what the stream still buffers does not fit either
             self._stream.close()
+        if self._whole or not self.messages:
+            self.path.unlink(missing_ok=True)
 
     def _channel(self, topic: str, message_encoding: str, schema: str, encoding: str, data: bytes) -> int:
         if topic not in self._channels:

@@ -6,11 +6,12 @@ import struct
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Channel, McapRecord, Message, Schema
+from mcap.records import Channel, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary as McapSummary
 from zstandard import ZstdError
@@ -18,6 +19,8 @@ from zstandard import ZstdError
 from common.topics import find_topic
 
 SPOTTER_SCHEMA = "spotter."
+WRITTEN_BY = "written by"  # name of the metadata that say which recorder wrote a file, and as which of its files
+HEAD_RECORDS = 3  # they are among the first
 MAGIC = b"\x89MCAP0\r\n"
 DAMAGE = (
     McapError,
@@ -103,8 +106,30 @@ def is_complete(path: Path) -> bool:
 
 
 def files_in(path: Path) -> list[Path]:
-    """The recording itself, or the files of a folder in the order in which they were written."""
-    return sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+    """The recording itself, or the files of a folder in the order in which they were written.
+
+    Files of one recorder go by its own count, for the time in their names goes back where the clock was set back.
+    Recorders, and files that do not say which wrote them, go by name.
+    """
+    if not path.is_dir():
+        return [path]
+    places = {file: _place(file) for file in path.glob("*.mcap")}
+    first_of: dict[str, tuple[int, str]] = {}
+    for file, (recorder, number) in places.items():
+        first_of[recorder] = min(first_of.get(recorder, (number, file.name)), (number, file.name))
+    return sorted(places, key=lambda file: (first_of[places[file][0]][1], places[file][1], file.name))
+
+
+def _place(path: Path) -> tuple[str, int]:
+    """Which recorder wrote a file, and as which of its files; what does not say so stands by itself."""
+    try:
+        with path.open("rb") as stream:
+            for record in islice(StreamReader(stream).records, HEAD_RECORDS):
+                if isinstance(record, Metadata) and record.name == WRITTEN_BY:
+                    return record.metadata["recorder"], int(record.metadata["file"])
+    except DAMAGE:  # told when it is read
+        pass
+    return path.name, 0
 
 
 def expected_messages(path: Path) -> int:

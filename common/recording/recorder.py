@@ -6,8 +6,10 @@ import json
 import queue
 import shutil
 import threading
+import uuid
 from collections import Counter
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,6 +22,7 @@ from common.codec import DecodeError, decode
 from common.messages import Message
 from common.periodic import Periodic
 from common.recording.file import RecordingFile
+from common.recording.reader import WRITTEN_BY
 from common.topics import RECORDER, Topic, find_topic
 
 FLUSH_PERIOD_S = 0.5
@@ -83,7 +86,7 @@ class Recorder:
         self._overflow = 0
         self._next_seq: dict[str, int] = {}
         self._gaps: Counter[str] = Counter()
-        self._index = 0
+        self._name, self._index = uuid.uuid4().hex, 0  # in its files: which belong together, in which order
         self._subscribers = [
             session.declare_subscriber(topic.any_host, zenoh.handlers.RingChannel(RING_PER_TOPIC)) for topic in topics
         ]
@@ -123,6 +126,8 @@ class Recorder:
         """One line for a disk that takes no more: why, which file, and up to when it holds."""
         if file is None:
             return f"{self._options.folder}: {error.strerror}; no new file could be begun"
+        if not file.messages:
+            return f"{file.path}: {error.strerror}; recording stopped before the first message, no file is left"
         if not file.held_ns:
             return f"{file.path}: {error.strerror}; recording stopped, the file holds nothing"
         until = datetime.fromtimestamp(file.held_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
@@ -209,18 +214,25 @@ class Recorder:
         file.add_json("/recorder/status", "spotter.RecorderStatus", json.dumps(content).encode(), utc_ns())
 
     def _new_file(self) -> RecordingFile:
-        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-        path = self._options.folder / f"spotter-{stamp}-{self._index:03d}.mcap"
-        self._index += 1
-        file = RecordingFile(path, self._metadata)
+        file = self._begin_file()
         if self._options.foxglove:
             from common.recording.foxglove import static_transforms
 
             now_ns = utc_ns()
             for transform in static_transforms(now_ns):
                 file.add_foxglove("/tf", transform, now_ns, now_ns)
-        self.status.file = str(path)
+        self.status.file = str(file.path)
         return file
+
+    def _begin_file(self) -> RecordingFile:
+        """Under a name that is not there: another recorder may have begun one in this folder in the same second."""
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+        while True:
+            path = self._options.folder / f"spotter-{stamp}-{self._index:03d}.mcap"
+            written_by = {"recorder": self._name, "file": str(self._index)}
+            self._index += 1
+            with suppress(FileExistsError):
+                return RecordingFile(path, {WRITTEN_BY: written_by, **self._metadata})
 
     def _guard_disk(self) -> None:
         free = shutil.disk_usage(self._options.folder).free

@@ -50,9 +50,12 @@ class RecorderPresence:
         self._lost = status.dropped
         self._publish("degraded" if status.dropped else "online", self.words(status), status)
 
-    def end(self, status: RecorderStatus) -> None:
-        """The last status of a recorder that was stopped: without it, it would look lost."""
-        self._publish("online", f"{ENDED}{self.words(status)}", status)
+    def end(self, status: RecorderStatus, failed: str = "") -> None:
+        """The last status of a recorder that was stopped: without it, it would look lost. ``failed``: why by itself."""
+        if failed:
+            self._publish("degraded", failed, status)
+        else:
+            self._publish("online", f"{ENDED}{self.words(status)}", status)
 
     def _publish(self, state: ServiceState, reason: str, status: RecorderStatus) -> None:
         self._report.state(state, reason)

@@ -113,13 +113,14 @@ class TopicReader:
             refused = self._refused
         return f"ROS topic {self.topic.name}: {refused or self.graph.why_silent(self.topic, self._hash)}"
 
-    def refuse(self, why: str, counted: str) -> None:
-        """The newest message could not be used: by this reader, or by whoever took it."""
+    def refuse(self, why: str, counted: str = "") -> None:
+        """The newest message could not be used: by this reader, or by whoever took it. "" = it is counted already."""
         with self._lock:
             if why != self._refused:
                 log.warning("ROS topic %s: %s", self.topic.name, why)
             self._refused = why
-        self._report.bad_input(counted)
+        if counted:
+            self._report.bad_input(counted)
 
     def _take_in(self, sample: zenoh.Sample) -> None:
         """In Zenoh's thread: keep the newest messages of our type."""

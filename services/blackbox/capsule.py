@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,15 +56,15 @@ def write_capsule(
     unfinished = target.with_suffix(".part")
     unfinished.unlink(missing_ok=True)
     metadata = {"incident": {"name": incident.name, "why": incident.why, "at_ns": str(incident.at_ns), "host": host}}
+    said = {**metadata, **about, "clock": {"json": json.dumps(vars(clock))}}
     try:
-        with RecordingFile(unfinished, {**metadata, **about, "clock": {"json": json.dumps(vars(clock))}}) as file:
+        with RecordingFile(unfinished, said, whole=True) as file:  # half a capsule would only fill the disk further
             for one in kept:
-                topic = find_topic(one.key)
-                if topic is not None:
-                    _add(file, Recorded(one.key, one.payload, one.log_ns))
+                _add(file, Recorded(one.key, one.payload, one.log_ns))
         unfinished.replace(target)
     except OSError:
-        unfinished.unlink(missing_ok=True)  # half a capsule would only fill the disk further
+        with suppress(OSError):  # there may be something else in it
+            target.parent.rmdir()
         raise
     return target
 
@@ -85,6 +86,7 @@ def merge(capsules: dict[str, Path], fusion_host: str, target: Path) -> dict[str
     Raises:
         RecordingError: a capsule is damaged.
         FileExistsError: the target is there already.
+        OSError: the disk takes no such file; nothing of it is left.
     """
     clocks = host_clocks(capsules, fusion_host)
     ahead_ns = {host: int((clock.offset_s or 0.0) * 1e9) for host, clock in clocks.items()}
@@ -92,7 +94,7 @@ def merge(capsules: dict[str, Path], fusion_host: str, target: Path) -> dict[str
     for host in sorted(capsules, key=lambda name: name != fusion_host):  # fusion's own arrival times come first
         for one in read(capsules[host]):
             merged.setdefault((one.key, one.payload), one.log_ns - ahead_ns[host])
-    with RecordingFile(target, _metadata_of(capsules, clocks)) as file:
+    with RecordingFile(target, _metadata_of(capsules, clocks), whole=True) as file:
         for (key, payload), log_ns in sorted(merged.items(), key=lambda item: item[1]):
             _add(file, Recorded(key, payload, log_ns), ahead_ns.get(key.partition("/")[0], 0))
     return clocks

@@ -15,7 +15,7 @@ class BlackboxConfig(ServiceConfig, frozen=True, kw_only=True):
     """``host`` is the host whose topics are kept; the verdict of ``fusion_host`` says when to save them."""
 
     host: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9_]+$")] = "jetson0"
-    fusion_host: str = "jetson0"
+    fusion_host: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9_]+$")] = "jetson0"
     folder: str = "incidents"
     before_s: Seconds = 10.0
     after_s: Seconds = 5.0

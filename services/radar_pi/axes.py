@@ -6,12 +6,15 @@ bandwidth would make every range 3 to 9 % short (BGT60TR13C data sheet, ramp tim
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from common.config import ConfigError
 from services.radar_pi.config import AzimuthConfig, ProcessingConfig, WaveformConfig
 
+LEAST_BINS = 4  # that are looked at
 C_MPS = 299_792_458.0
 
 
@@ -57,7 +60,7 @@ def derive_axes(waveform: WaveformConfig, processing: ProcessingConfig | None = 
     """All axes of a configuration.
 
     Raises:
-        ValueError: the range limits leave fewer than four bins.
+        ConfigError: the range limits leave fewer than four bins.
     """
     processing = processing or ProcessingConfig()
     sampling_s = waveform.samples / waveform.sample_rate_hz
@@ -70,8 +73,8 @@ def derive_axes(waveform: WaveformConfig, processing: ProcessingConfig | None = 
     range_m = np.arange(waveform.samples // 2) * range_bin_m - processing.range_offset_m
     near = max(1, int(np.searchsorted(range_m, processing.range_min_m)))
     far = int(np.searchsorted(range_m, processing.range_max_m, side="right"))
-    if far - near < 4:
-        raise ValueError(f"[processing] range_min_m..range_max_m holds only {far - near} bins of {range_bin_m:.3f} m")
+    if far - near < LEAST_BINS:
+        raise ConfigError(_too_few_bins(processing, range_m, near))
     return Axes(
         sampled_bandwidth_hz=bandwidth_hz,
         slope_hz_per_s=slope,
@@ -89,6 +92,23 @@ def derive_axes(waveform: WaveformConfig, processing: ProcessingConfig | None = 
         if_corner_m=waveform.lp_cutoff_hz * C_MPS / (2 * slope),
         fold_m=waveform.sample_rate_hz / 2 * C_MPS / (2 * slope),
     )
+
+
+def _too_few_bins(processing: ProcessingConfig, range_m: np.ndarray, near: int) -> str:
+    """Which of the limits leaves too few of the bins at ``range_m`` (M,), and what is allowed; near: the first one."""
+    least = f"{LEAST_BINS} range bins of {range_m[1] - range_m[0]:.3f} m"
+    if near + LEAST_BINS <= len(range_m):
+        allowed_m = math.ceil(100 * range_m[near + LEAST_BINS - 1]) / 100
+        return (
+            f"[processing] range_max_m = {processing.range_max_m}: expected at least {allowed_m:.2f}, "
+            f"{least} from range_min_m = {processing.range_min_m} on"
+        )
+    most_m, offset_m = range_m[-LEAST_BINS], processing.range_offset_m
+    key, value = "range_min_m", processing.range_min_m
+    if most_m < 0.0:  # no range_min_m would do
+        key, value, most_m = "range_offset_m", offset_m, most_m + offset_m
+    allowed = f"expected at most {math.floor(100 * most_m) / 100:.2f}"
+    return f"[processing] {key} = {value}: {allowed}, {least} before this waveform's {range_m[-1] + offset_m:.2f} m"
 
 
 def azimuth_limit_rad(azimuth: AzimuthConfig, wavelength_m: float) -> float:

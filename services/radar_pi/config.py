@@ -240,3 +240,15 @@ class RadarConfig(ServiceConfig, frozen=True, kw_only=True):
     on_path: PathAlarmConfig = msgspec.field(default_factory=PathAlarmConfig)
     health: HealthConfig = msgspec.field(default_factory=HealthConfig)
     own_speed: OwnSpeedConfig = msgspec.field(default_factory=OwnSpeedConfig)
+
+    def check(self) -> None:
+        """The range limits fit the waveform, where it is the one above and not that of a recording or of a file.
+
+        Raises:
+            ConfigError: they leave too few range bins.
+        """
+        from services.radar_pi.axes import derive_axes  # which needs the sections above
+
+        of_a_recording = self.source.partition(":")[0] in ("file", "mcap")
+        if not (of_a_recording or self.waveform.settings_file or self.waveform.register_file):
+            derive_axes(self.waveform, self.processing)

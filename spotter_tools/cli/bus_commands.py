@@ -22,6 +22,7 @@ from common.messages import Message, RouterLinks, ServiceInfo, ServiceStatus, Sy
 from spotter_tools.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespace, bus, one_host
 from spotter_tools.cli.fail import fail, needs_extra
 from spotter_tools.cli.render import coloured, health_lines, readable, reason_lines, verdict_text
+from spotter_tools.cli.selection import key_expression
 
 M = TypeVar("M", bound=Message)
 QUERY_TIMEOUT_S = 1.0
@@ -70,6 +71,7 @@ def info(
     if service.endswith(".mcap"):
         _show_recording(Path(service), as_json)
         return
+    key_expression(service)
     key = f"{service if '/' in service else '*/' + service}/info"
     with bus(connect, namespace) as session:
         answers = _answers(session, key, ServiceInfo)

@@ -49,6 +49,17 @@ def one_host(text: str) -> str:
     return text
 
 
+def own_name(text: str) -> str:
+    """For options that name a host or laptop, or nothing where they are not given.
+
+    Raises:
+        typer.BadParameter: no such name.
+    """
+    if text and not re.fullmatch("[a-z0-9_]+", text):
+        raise typer.BadParameter(f"{text!r}: expected a name of a-z, 0-9 and _")
+    return text
+
+
 @contextmanager
 def bus(connect: str, namespace: str) -> Iterator[zenoh.Session]:
     """A client session for a command; ends the program with one line when no router answers."""

@@ -18,7 +18,7 @@ from common.geodesy import NO_ORIGIN
 from common.geojson import MAP_FRAME
 from common.messages import ObjectTracks
 from common.topics import INFRA_TRACKS
-from spotter_tools.cli.connect import DEFAULT_ENDPOINT, Connect, Namespace, bus
+from spotter_tools.cli.connect import DEFAULT_ENDPOINT, Connect, Namespace, bus, own_name
 from spotter_tools.cli.fail import fail, needs_extra
 from spotter_tools.cli.site_option import SiteFile, read_site
 
@@ -28,7 +28,9 @@ NOBODY_AFTER_S, SENSORS_EVERY_S = 4.0, 1.0
 def cpm(
     to: Annotated[str, typer.Option("--to", help="HOST:PORT; each message is a UDP datagram: UPER, no BTP header.")],
     station_id: Annotated[int, typer.Option("--station-id", min=0, max=2**32 - 1, help="stationId of the messages.")],
-    host: Annotated[str, typer.Option("--host", help="The roadside host whose tracks are sent.")] = "infra0",
+    host: Annotated[
+        str, typer.Option("--host", callback=own_name, help="The roadside host whose tracks are sent.")
+    ] = "infra0",
     accept_simulated: Annotated[
         bool, typer.Option("--accept-simulated", help="Send recorded, emulated and simulated tracks too: trials only.")
     ] = False,

@@ -67,7 +67,6 @@ def open_incident(
     as_json: AsJson = False,
 ) -> None:
     """Fetch the capsules of all hosts and merge them into one file on one clock."""
-    from services.blackbox.capsule import merge
     from services.blackbox.trigger import NAME
 
     if not NAME.match(name):
@@ -75,13 +74,16 @@ def open_incident(
     target = out or Path(f"{name}.mcap")
     if target.exists():
         fail(f"{target} is there already")
-    target.parent.mkdir(parents=True, exist_ok=True)
     with bus(connect, namespace) as session, tempfile.TemporaryDirectory() as folder:
         hosts = _hosts_by_incident(_incidents_of_hosts(session)).get(name, [])
         if not hosts:
             fail(f"no host has {name}; see `spotter incident list`")
-        capsules = {host: _fetch(session, host, name, Path(folder)) for host in hosts}
-        clocks = merge(capsules, fusion_host, target)
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            capsules = {host: _fetch(session, host, name, Path(folder)) for host in hosts}
+            clocks = _merged(capsules, fusion_host, target)
+        except OSError as error:
+            fail(f"{error.filename or target}: {error.strerror}; {name} was not opened and nothing of it is left here")
     if as_json:
         print(json.dumps({"file": str(target), "clocks": {host: vars(clock) for host, clock in clocks.items()}}))
         return
@@ -102,6 +104,18 @@ def verify(
     from spotter_tools.cli.verify import verify_recording
 
     verify_recording([file], as_json)
+
+
+def _merged(capsules: dict[str, Path], fusion_host: str, target: Path) -> dict[str, Any]:
+    """The clocks of the hosts; ends the command when a capsule came damaged."""
+    from common.recording.reader import RecordingError
+    from services.blackbox.capsule import merge
+
+    try:
+        return merge(capsules, fusion_host, target)
+    except RecordingError as error:
+        damage = str(error).rpartition("/")[2]  # without the folder that they were fetched into
+        fail(f"the capsules cannot be merged: {damage}")
 
 
 def _incidents_of_hosts(session: zenoh.Session) -> dict[str, list[str]]:

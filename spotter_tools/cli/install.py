@@ -64,6 +64,8 @@ def _write(files: dict[str, str], to: Path) -> None:
             USERS.write_text(SYSUSERS)
     except PermissionError as error:
         fail(f"{error.filename}: not writable by this user; run it with sudo")
+    except OSError as error:
+        fail(f"--to {to}: expected a folder that takes the units: {error.filename or to}: {error.strerror}")
 
 
 def _out_of_sight(program: str, site_file: str) -> str:

@@ -113,14 +113,33 @@ def bundle(
     missing = [str(path) for path in wanted if not path.exists()]
     if missing:
         fail(f"not there: {', '.join(missing)}; run `spotter keys host {name}` first")
-    target.touch(mode=0o600)
-    target.chmod(0o600)
-    with tarfile.open(target, "w") as archive:
-        for path in wanted:
-            archive.add(path, f"{site.tls.keys}/{path.name}")
-        if site_file is not None:
-            archive.add(site_file, "site.toml")
+    packed = {f"{site.tls.keys}/{path.name}": path for path in wanted}
+    packed |= {"site.toml": site_file} if site_file is not None else {}
+    if target.is_dir():
+        fail(f"--out {target}: a folder, expected the name of a file")
+    try:
+        _pack(target, packed)
+    except OSError as error:
+        fail(f"--out {target}: {error.strerror or error}; nothing was packed")
     _say(as_json, f"{target}: unpack it on {name} in /etc/spotter; it holds a private key", file=str(target))
+
+
+def _pack(target: Path, packed: dict[str, Path]) -> None:
+    """A tar file of these files, by their names in it, for its owner's eyes alone; never half of one.
+
+    Raises:
+        OSError: one cannot be read, or the target not written.
+    """
+    part = target.with_name(f".{target.name}.tmp")
+    try:
+        part.touch(mode=0o600)
+        part.chmod(0o600)
+        with tarfile.open(part, "w") as archive:
+            for name, path in packed.items():
+                archive.add(path, name)
+        part.replace(target)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def _authority() -> ModuleType:

@@ -22,6 +22,7 @@ from spotter_tools.cli.connect import (
     bus,
     certified_name,
     namespace_in_use,
+    own_name,
 )
 from spotter_tools.cli.fail import fail, needs_extra
 from spotter_tools.cli.progress import Progress
@@ -53,7 +54,12 @@ def record(
     rotate_minutes: Annotated[float, typer.Option(help="... or minutes.")] = 60.0,
     foxglove: Annotated[bool, typer.Option(help="Foxglove's own schemas beside ours.")] = True,
     host: Annotated[
-        str, typer.Option(envvar="SPOTTER_HOST", help="Under which name the dashboard shows it: certificate, machine.")
+        str,
+        typer.Option(
+            envvar="SPOTTER_HOST",
+            callback=own_name,
+            help="Under which name the dashboard shows it: certificate, machine.",
+        ),
     ] = "",
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "",
@@ -81,8 +87,10 @@ def record(
         try:
             recorder.run(stop, watch.tell)
         except DiskFull as error:
+            watch.failed = str(error)
             fail(str(error))
         except OSError as error:
+            watch.failed = f"{error.filename or folder}: {error.strerror}"
             fail(f"{error.filename or folder}: {error.strerror}; nothing can be recorded there")
         finally:
             recorder.close()
@@ -95,6 +103,7 @@ class _Watch:
 
     def __init__(self, presence: RecorderPresence, name: str, seconds: float, stop: threading.Event) -> None:
         self.words = presence.words
+        self.failed = ""  # why it has ended, if nobody wanted it to
         self._presence, self._name = presence, name
         self._seconds, self._stop = seconds, stop
         self._started_s, self._progress = monotonic_s(), Progress()
@@ -113,7 +122,7 @@ class _Watch:
 
     def end(self, status: RecorderStatus) -> None:
         """The recording has ended."""
-        self._presence.end(status)
+        self._presence.end(status, self.failed)
         self._progress.close()
 
 

@@ -37,12 +37,17 @@ class Selection:
         return f"on-demand topics are left out, ask for them by name: {', '.join(self.left_out)}"
 
 
-def select(key: str) -> Selection:
-    """The selection for a key expression; ends the command when it is none."""
+def key_expression(key: str) -> zenoh.KeyExpr:
+    """What Zenoh takes for a key expression; ends the command when it is none."""
     try:
-        wanted = zenoh.KeyExpr(key)
+        return zenoh.KeyExpr(key)
     except zenoh.ZError as error:
         fail(f"{key!r} is no key expression: {plain(error)}")
+
+
+def select(key: str) -> Selection:
+    """The selection for a key expression; ends the command when it is none."""
+    wanted = key_expression(key)
     if "*" not in key.rsplit("/", 1)[-1]:
         return Selection(wanted, (key,), ())
     matching = [topic for topic in KNOWN if wanted.intersects(topic.any_host)]

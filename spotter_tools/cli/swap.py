@@ -12,7 +12,7 @@ import msgspec
 import typer
 
 from common.topics import service_row
-from spotter_tools.cli.connect import DEFAULT_ENDPOINT, Connect, Namespace, bus, namespace_in_use
+from spotter_tools.cli.connect import DEFAULT_ENDPOINT, Connect, Namespace, bus, namespace_in_use, own_name
 from spotter_tools.cli.fail import fail
 from spotter_tools.swap.compare import Limits
 from spotter_tools.swap.keep import keep
@@ -28,7 +28,9 @@ def swap(
     min_rate: Annotated[float, typer.Option(help="Of the live rate.")] = Limits().rate,
     min_matches: Annotated[float, typer.Option(help="Of the objects of both.")] = Limits().matches,
     max_weaker: Annotated[float, typer.Option(help="Share of messages with a lower level.")] = Limits().weaker,
-    host: Annotated[str, typer.Option("--host", help="Where it runs, if not where the topics table says.")] = "",
+    host: Annotated[
+        str, typer.Option("--host", callback=own_name, help="Where it runs, if not where the topics table says.")
+    ] = "",
     stop: Annotated[
         str, typer.Option("--stop", help="How its supervisor stops the old one, e.g. 'systemctl stop spotter-radar'.")
     ] = "",
@@ -70,10 +72,11 @@ def swap(
     with bus(connect, namespace) as session:
         outcome, live = run_swap(session, order, _say)
     print(msgspec.json.encode(outcome).decode() if as_json else "\n".join(_lines(order, outcome)), flush=True)
+    kept = 0
     if live is not None and not leave:
         _say(f"minding process {live.process.pid}: started again when it dies; Ctrl-C stops it")
-        keep(service, live, _say)
-    raise SystemExit(0 if outcome.promoted or (dry_run and not outcome.reasons) else 1)
+        kept = keep(service, live, _say)
+    raise SystemExit(kept or (0 if outcome.promoted or (dry_run and not outcome.reasons) else 1))
 
 
 def _check_command(option: str, command: str) -> None:

@@ -31,6 +31,13 @@ def check_certificate(site: Site, name: str, keys: Path) -> Iterator[Finding]:
             return
     if stat.S_IMODE(files[2].stat().st_mode) & 0o077:
         yield broken("private key", f"{files[2]} can be read by others", f"chmod 600 {files[2]}")
+    if damage := authority_damage(files[0]):
+        yield broken(
+            "authority",
+            f"the authority's certificate {files[0]} cannot be read: {damage}",
+            f"unpack it again from what `spotter keys bundle {name}` packs",
+        )
+        return
     try:
         certificate = peer_certificate(*files)
     except (ssl.SSLError, OSError) as error:
@@ -43,6 +50,15 @@ def check_certificate(site: Site, name: str, keys: Path) -> Iterator[Finding]:
         return
     yield _lifetime(certificate, issue)
     yield _register(certificate, name, keys, issue)
+
+
+def authority_damage(authority: Path) -> str:
+    """Why the file is no certificate of an authority, which is no fault of a host's own; "" = it is one."""
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_verify_locations(authority)
+    except OSError as error:  # ssl.SSLError is one
+        return "no certificate, or a damaged one" if isinstance(error, ssl.SSLError) else str(error.strerror)
+    return ""
 
 
 def clock_is_behind(certificate: Path) -> str:

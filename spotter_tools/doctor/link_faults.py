@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from common.messages import LinkFault
-from spotter_tools.doctor.certificates import NOT_YET_VALID, clock_is_behind, peer_certificate
+from spotter_tools.doctor.certificates import NOT_YET_VALID, authority_damage, clock_is_behind, peer_certificate
 
 HANDSHAKE_S = 2.0
 ALERT_S = 0.5  # with TLS 1.3 our certificate is judged after our end of the handshake is done
@@ -35,7 +35,10 @@ class OwnFiles:
 
 
 def own_fault(files: OwnFiles) -> LinkFault | None:
-    """What keeps this host from every link: its own clock or certificate."""
+    """What keeps this host from every link: its own clock or certificate, or its copy of the authority's."""
+    if damage := authority_damage(files.authority):
+        why = f"the authority's certificate {files.authority} cannot be read: {damage}: copy ca.crt here again"
+        return LinkFault(cause="certificate", why=why)
     try:
         peer_certificate(files.authority, files.certificate, files.key)
     except (ssl.SSLError, OSError) as error:

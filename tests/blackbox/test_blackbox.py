@@ -195,6 +195,13 @@ def test_an_unfinished_capsule_is_not_an_incident(tmp_path: Path) -> None:
     assert not (tmp_path / name / "pi0.part").exists()
 
 
+def test_a_full_disk_leaves_nothing_of_a_capsule(tmp_path: Path, file_size_limit: Callable[[int], Any]) -> None:
+    incident = Incident(incident_name(T0, "imminent"), T0, "test")
+    with file_size_limit(10), pytest.raises(OSError, match="File too large"):
+        write_capsule(tmp_path, "pi0", incident, [], {"spotter": {"note": "x" * 300_000}})
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_own_topics_and_triggers_are_kept_large_ones_on_request() -> None:
     keys = keys_to_keep(BlackboxConfig(host="pi0"))
     assert {"pi0/radar/tracks", "pi0/*/status", VERDICT_KEY, HEALTH_KEY} <= set(keys)

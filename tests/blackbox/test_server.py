@@ -101,3 +101,30 @@ def test_without_a_blackbox_the_list_says_so(router_endpoint: str) -> None:
     listed = CliRunner().invoke(app, ["incident", "list", "--connect", router_endpoint])
     assert listed.exit_code == 1
     assert listed.output == "spotter: no blackbox answers; is spotter-blackbox running on the hosts?\n"
+
+
+def test_a_disk_that_takes_no_merged_incident_is_one_sentence_and_keeps_nothing_of_it(
+    served: Any, zenoh_config: ZenohConfig, tmp_path: Path, file_size_limit: Callable[[int], Any]
+) -> None:
+    name, out = "20261119T010000.000Z-imminent", tmp_path / "out" / "merged.mcap"
+    words = ["incident", "open", name, "--fusion-host", "pi0", "--out", str(out)]
+    words += ["--connect", zenoh_config.connect[0], "--namespace", "spotter"]
+    capsule_bytes = (tmp_path / name / "pi0.mcap").stat().st_size  # the merged file says more and is longer
+    for room in (10, capsule_bytes):
+        with file_size_limit(room):
+            result = CliRunner().invoke(app, words)
+        assert result.exit_code == 1, result.output
+        assert f"File too large; {name} was not opened and nothing of it is left here" in result.output
+        assert list(out.parent.iterdir()) == []
+    assert CliRunner().invoke(app, words).exit_code == 0
+
+
+def test_a_capsule_that_came_damaged_is_one_sentence(served: Any, zenoh_config: ZenohConfig, tmp_path: Path) -> None:
+    name = "20261119T010000.000Z-imminent"
+    (tmp_path / name / "pi0.mcap").write_bytes(b"not a recording at all")
+    words = ["incident", "open", name, "--out", str(tmp_path / "merged.mcap")]
+    result = CliRunner().invoke(app, [*words, "--connect", zenoh_config.connect[0], "--namespace", "spotter"])
+    assert (result.exit_code, result.output) == (
+        1,
+        "spotter: the capsules cannot be merged: pi0.mcap: not an MCAP file\n",
+    )

@@ -18,6 +18,7 @@ from common.security import authority
 from spotter_tools.cli.__main__ import app
 from spotter_tools.doctor.certificates import check_certificate
 from spotter_tools.doctor.findings import Finding
+from spotter_tools.doctor.link_faults import OwnFiles, own_fault
 from spotter_tools.doctor.machine import check_machine, check_ports, check_provider
 
 
@@ -70,6 +71,19 @@ def test_a_certificate_of_another_authority_is_broken(own_keys: Path, tmp_path: 
     authority.init(tmp_path / "other", "elsewhere")
     shutil.copy(tmp_path / "other" / "ca.crt", own_keys / "ca.crt")
     assert grades(check_certificate(Site(), "pi0", own_keys)) == {"certificate": "broken"}
+
+
+@pytest.mark.parametrize("left", [0, 200])
+def test_a_damaged_certificate_of_the_authority_is_not_blamed_on_the_host_s(own_keys: Path, left: int) -> None:
+    authority_file = own_keys / "ca.crt"
+    authority_file.write_bytes(authority_file.read_bytes()[:left])
+    (found,) = check_certificate(Site(), "pi0", own_keys)
+    said = f"the authority's certificate {authority_file} cannot be read: no certificate, or a damaged one"
+    assert (found.grade, found.check, found.what) == ("broken", "authority", said)
+    assert found.do == "unpack it again from what `spotter keys bundle pi0` packs"
+    fault = own_fault(OwnFiles(authority_file, own_keys / "pi0.crt", own_keys / "pi0.key"))
+    assert fault is not None
+    assert (fault.cause, fault.why) == ("certificate", f"{said}: copy ca.crt here again")
 
 
 def test_a_certificate_that_ends_soon_is_a_warning(own_keys: Path) -> None:

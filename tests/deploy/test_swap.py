@@ -5,20 +5,23 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from common.bus.presence import claimants, successor
 from common.messages import ObjectTrack, ObjectTracks, RadarTrack, RadarTracks, SensorHealth, SystemHealth
 from common.topics import INFRA_TRACKS, RADAR_TRACKS
+from spotter_tools.cli import swap as swap_command
+from spotter_tools.cli.__main__ import app
 from spotter_tools.swap.candidate import Predecessor, command_line
 from spotter_tools.swap.compare import Limits, Received, compare, in_common, refuse
-from spotter_tools.swap.order import Refused
+from spotter_tools.swap.order import Outcome, Refused
 from spotter_tools.swap.run import _start
 from spotter_tools.swap.switchover import Switchover
 from spotter_tools.swap.taps import primary
@@ -252,3 +255,16 @@ def test_a_log_that_cannot_be_written_is_named_instead_of_the_candidate(tmp_path
     predecessor: Any = SimpleNamespace(inherited={})
     with pytest.raises(Refused, match=f"--log {order.log}: No such file or directory"):
         _start(order, old, predecessor)
+
+
+@pytest.mark.parametrize(("kept", "promoted", "code"), [(0, True, 0), (2, True, 2), (0, False, 1), (2, False, 2)])
+def test_the_exit_code_is_that_of_the_process_it_minded(
+    monkeypatch: pytest.MonkeyPatch, kept: int, promoted: bool, code: int
+) -> None:
+    live = SimpleNamespace(process=SimpleNamespace(pid=1))
+    monkeypatch.setattr(swap_command, "run_swap", lambda *_: (Outcome(promoted=promoted), live))
+    monkeypatch.setattr(swap_command, "bus", lambda *_: nullcontext())
+    monkeypatch.setattr(swap_command, "keep", lambda *_: kept)
+    monkeypatch.setattr(swap_command.signal, "signal", lambda *_: None)
+    result = CliRunner().invoke(app, ["swap", "radar", "--candidate", "spotter-radar", "--namespace", "spotter"])
+    assert result.exit_code == code, result.output

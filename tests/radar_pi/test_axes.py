@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import load
+from common.config import ConfigError, load
 from services.radar_pi.axes import C_MPS, azimuth_limit_rad, derive_axes
 from services.radar_pi.config import AzimuthConfig, ProcessingConfig, RadarConfig, WaveformConfig
 
@@ -79,7 +79,7 @@ def test_axes_agree_with_first_principles(samples: int, chirps: int, bandwidth_h
 
 
 def test_limits_that_leave_nothing_are_refused() -> None:
-    with pytest.raises(ValueError, match="holds only"):
+    with pytest.raises(ConfigError, match=r"range_max_m = 1.2: expected at least 1\.42, 4 range bins"):
         derive_axes(WaveformConfig(), ProcessingConfig(range_min_m=1.0, range_max_m=1.2))
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
 import msgspec
 import pytest
+from typer.testing import CliRunner
 
 from common.config import ConfigError, load
+from services.radar_pi.__main__ import app
 from services.radar_pi.config import RadarConfig, WaveformConfig
 
 FOLDER = Path(__file__).parents[2] / "services" / "radar_pi"
@@ -50,6 +53,31 @@ def test_the_bench_configuration_loads() -> None:
 def test_impossible_values_are_refused_with_a_reason(override: str, expected: str) -> None:
     with pytest.raises(ConfigError, match=expected):
         load(RadarConfig, None, [override])
+
+
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        (
+            "range_max_m=0.3",
+            "range_max_m = 0.3: expected at least 0.59, 4 range bins of 0.118 m from range_min_m = 0.2",
+        ),
+        (
+            "range_min_m=8",
+            "range_min_m = 8.0: expected at most 7.07, 4 range bins of 0.118 m before this waveform's 7.43 m",
+        ),
+    ],
+)
+def test_range_limits_that_leave_nothing_to_look_at_are_refused(tmp_path: Path, override: str, told: str) -> None:
+    path, (key, _, value) = tmp_path / "radar.toml", override.partition("=")
+    path.write_text(f"[processing]\n{key} = {value}\n")
+    with pytest.raises(ConfigError, match=re.escape(f"{path}: [processing] {told}")):
+        load(RadarConfig, path)
+    load(RadarConfig, path, ["source=file:longer.radar"])  # it has a waveform of its own
+    for command in ([], ["look"]):
+        words = ["--source", "sim:empty", "--set", f"processing.{override}", *command]
+        result = CliRunner().invoke(app, words)
+        assert (result.exit_code, f"spotter: defaults with --set: [processing] {told}" in result.output) == (2, True)
 
 
 @pytest.mark.parametrize(("mask", "receivers"), [(1, (1,)), (5, (1, 3)), (6, (2, 3)), (7, (1, 2, 3))])

@@ -5,6 +5,8 @@ from __future__ import annotations
 import datetime as dt
 import stat
 import tarfile
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -120,3 +122,24 @@ def test_a_command_that_cannot_work_ends_with_one_line(tmp_path: Path, words: tu
     assert result.exit_code == 1
     assert result.output.startswith("spotter: ")
     assert len(result.output.splitlines()) == 1
+
+
+def test_a_bundle_that_cannot_be_written_is_one_line_and_touches_nothing(
+    tmp_path: Path, file_size_limit: Callable[[int], AbstractContextManager[None]]
+) -> None:
+    site, folder, tar = tmp_path / "site.toml", tmp_path / "folder", tmp_path / "pi0.tar"
+    site.write_text("[hosts.pi0]\naddress = '10.0.0.2'\n")
+    folder.mkdir(0o755)
+    tar.write_bytes(b"the one from before")
+    for words in (["init"], ["host", "pi0"]):
+        assert CliRunner().invoke(app, ["keys", *words, "--site", str(site)]).exit_code == 0
+    for out, room, said in (
+        (Path("/no/folder"), 10**9, "No such file or directory; nothing was packed"),
+        (folder, 10**9, "a folder, expected the name of a file"),
+        (tar, 100, "File too large; nothing was packed"),
+    ):
+        with file_size_limit(room):
+            result = CliRunner().invoke(app, ["keys", "bundle", "pi0", "--site", str(site), "--out", str(out)])
+        assert (result.exit_code, result.output) == (1, f"spotter: --out {out}: {said}\n")
+    assert (folder.stat().st_mode & 0o777, tar.read_bytes()) == (0o755, b"the one from before")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "keys", "pi0.tar", "site.toml"]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import socket
-import urllib.error
 import urllib.request
+from http.client import HTTPException, InvalidURL
 from itertools import islice
 from pathlib import Path
 
@@ -13,7 +13,14 @@ from common.config import ConfigError
 from common.source_url import SourceUrl
 from services.infra_lidar.input import robosense
 from services.infra_lidar.input.captures import read_capture
-from services.infra_lidar.input.hesai_calibration import CHANNELS, CalibrationError, as_metadata, read_calibration
+from services.infra_lidar.input.hesai_calibration import (
+    CHANNELS,
+    CalibrationError,
+    as_metadata,
+    read_calibration,
+    read_firetimes,
+    with_firetimes,
+)
 from services.infra_lidar.input.hesai_commands import ask_calibration
 from services.infra_lidar.input.models import kind_of
 from services.infra_lidar.input.ouster import MetadataError, OusterFormat
@@ -50,6 +57,7 @@ def named_metadata(url: SourceUrl) -> str | None:
     if url.scheme == "ouster":
         return read_ouster(Path(url.params["metadata"]), url) if "metadata" in url.params else None
     if url.scheme == "hesai":
+        _firetimes(url)  # a wrong file is told before the sensor is asked
         return read_hesai(url, None) if "calibration" in url.params else None
     if url.scheme == "robosense":
         _difop_port(url)
@@ -98,19 +106,31 @@ def read_hesai(url: SourceUrl, default: Path | None, model: str = "") -> str:
             f"source {url}: Hesai packets hold no beam angles: give the sensor's own angle correction file with "
             f"?calibration=FILE (the sensor's web page or PandarView saves it)"
         )
-    times = Path(url.params["firetimes"]) if "firetimes" in url.params else None
-    path = angles
     try:
         angles_text = angles.read_text(encoding="utf-8-sig")
         read_calibration(angles_text)
-        path = times or angles
-        times_text = times.read_text(encoding="utf-8-sig") if times else ""
-        known = read_calibration(angles_text, times_text).protocol
-        if model and known and HESAI_MODELS[*known, CHANNELS] != model:
-            raise CalibrationError(f"firing times of {HESAI_MODELS[*known, CHANNELS]}, packets of {model}")
+    except (OSError, UnicodeError, CalibrationError) as error:
+        raise ConfigError(f"source {url}: {angles}: {error}") from None
+    return as_metadata(angles_text, _firetimes(url, model))
+
+
+def _firetimes(url: SourceUrl, model: str = "") -> str:
+    """The text of the file ``firetimes`` of the source; "" = it names none.
+
+    Raises:
+        ConfigError: it cannot be read, or is not of such a sensor.
+    """
+    if "firetimes" not in url.params:
+        return ""
+    path = Path(url.params["firetimes"])
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        _, protocol = read_firetimes(text)
+        if model and HESAI_MODELS[*protocol, CHANNELS] != model:
+            raise CalibrationError(f"firing times of {HESAI_MODELS[*protocol, CHANNELS]}, packets of {model}")
     except (OSError, UnicodeError, CalibrationError) as error:
         raise ConfigError(f"source {url}: {path}: {error}") from None
-    return as_metadata(angles_text, times_text)
+    return text
 
 
 def read_robosense(url: SourceUrl, path: Path) -> str:
@@ -171,13 +191,16 @@ def _ask_ouster(url: SourceUrl) -> str:
     try:
         with urllib.request.urlopen(address, timeout=5.0) as reply:
             return OusterFormat(reply.read().decode("utf-8")).metadata
-    except (urllib.error.URLError, OSError, ValueError) as error:
-        raise ConfigError(f"source {url}: no metadata from {address}: {error}; give a file: ?metadata=FILE") from None
+    except (HTTPException, OSError, ValueError) as error:
+        wrong = isinstance(error, HTTPException) and not isinstance(error, InvalidURL)
+        what = f"no whole HTTP answer ({str(error).strip():.60})" if wrong else error
+        raise ConfigError(f"source {url}: no metadata from {address}: {what}; give a file: ?metadata=FILE") from None
 
 
 def _ask_hesai(url: SourceUrl) -> str:
     try:
-        return ask_calibration(url.target)
+        told, times = ask_calibration(url.target), _firetimes(url)
+        return with_firetimes(told, times) if times else told
     except (OSError, CalibrationError) as error:
         raise ConfigError(
             f"source {url}: no calibration from {url.target or 'the sensor'}: {error}; give a file: ?calibration=FILE"

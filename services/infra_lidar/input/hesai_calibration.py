@@ -52,6 +52,11 @@ def as_metadata(angles: str, firetimes: str = "") -> str:
     return json.dumps({"angles": angles, "firetimes": firetimes})
 
 
+def with_firetimes(metadata: str, firetimes: str) -> str:
+    """The text of ``as_metadata`` with other firing times."""
+    return as_metadata(json.loads(metadata)["angles"], firetimes)
+
+
 def unknown_angles() -> str:
     """Metadata to count the packets and returns of a sensor whose angles are not known; its points are nonsense."""
     return as_metadata("".join(f"{k + 1},{k / 10.0},0\n" for k in range(CHANNELS)))
@@ -85,10 +90,19 @@ def read_calibration(angles: str, firetimes: str = "") -> HesaiCalibration:
         raise CalibrationError("angles: expected a different elevation for each channel")
     if not firetimes.strip():
         return HesaiCalibration(elevation_deg, azimuth_deg, np.zeros((0, CHANNELS)), None)
-    times_s, protocol = _firetimes(firetimes)
+    return HesaiCalibration(elevation_deg, azimuth_deg, *read_firetimes(firetimes))
+
+
+def read_firetimes(text: str) -> tuple[np.ndarray, tuple[int, int]]:
+    """(S, 128) seconds after the start of the block, and the protocol that they belong to.
+
+    Raises:
+        CalibrationError: no firing times of a sensor with 128 channels.
+    """
+    times_s, protocol = _firetimes(text)
     if times_s.min() < 0.0 or times_s.max() > MAX_FIRETIME_S:
         raise CalibrationError("firing times: expected 0 to 200 us after the start of the block")
-    return HesaiCalibration(elevation_deg, azimuth_deg, times_s, protocol)
+    return times_s, protocol
 
 
 def _firetimes(text: str) -> tuple[np.ndarray, tuple[int, int]]:

@@ -51,7 +51,7 @@ class OusterFormat:
             azimuth = -np.radians(np.array(flat["beam_azimuth_angles"], float).reshape(-1))
             beam_origin_m = float(flat.get("lidar_origin_to_beam_origin_mm", 0.0)) / 1000.0
             to_sensor = np.reshape(np.array(flat["lidar_to_sensor_transform"], float), (4, 4))
-        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+        except (RecursionError, KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
             raise MetadataError(f"not the metadata of an Ouster lidar: {error!r}") from error
         if self.profile_name not in PROFILES:
             raise MetadataError(f"packet format {self.profile_name}; known: {', '.join(PROFILES)}")

@@ -138,13 +138,31 @@ def _revolutions(reader: TopicReader, packets: Packets, report: Report) -> Itera
     with reader:
         for arrived in reader.messages():
             try:
-                for stamp_ns, packet in dated_packets(arrived, reader.topic):
-                    revolution = packets.feed(packet, stamp_ns)
-                    if revolution is not None:
-                        count_losses(revolution.quality, report)
-                        yield revolution.stamp_ns, frame_of(revolution)
-            except (BagError, PacketError) as error:
+                dated = dated_packets(arrived, reader.topic)
+            except BagError as error:
                 reader.refuse(str(error), "unusable packet")
+                continue
+            for revolution in _of_message(dated, reader, packets, report):
+                count_losses(revolution.quality, report)
+                yield revolution.stamp_ns, frame_of(revolution)
+
+
+def _of_message(
+    dated: list[tuple[int, bytes]], reader: TopicReader, packets: Packets, report: Report
+) -> Iterator[Revolution]:
+    """The revolutions that end in a message. One that holds no packet that can be used is refused, with why."""
+    wrong = []
+    for stamp_ns, packet in dated:
+        try:
+            revolution = packets.feed(packet, stamp_ns)
+        except PacketError as error:
+            wrong.append(str(error))
+            report.bad_input("unusable packet")
+            continue
+        if revolution is not None:
+            yield revolution
+    if wrong and len(wrong) == len(dated):
+        reader.refuse(wrong[-1])
 
 
 def dated_packets(arrived: Arrived, topic: RosTopic) -> list[tuple[int, bytes]]:

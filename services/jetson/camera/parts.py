@@ -27,6 +27,7 @@ REPEATS_BELOW = 0.05  # grey levels between neighbours; compressed video stays a
 LEVELS_JUDGED = (8.0, 247.0)  # darker and brighter blocks are clipped, and equal for that
 BANDS_SHARE = 0.5  # of the change between two pictures
 BANDS_EDGES = 3
+BANDS_CHANGES = 4  # at least: a car that fills the picture, looked at half a second later, changes whole rows as well
 _REASONS = {
     "empty": "no picture there; data are lost, look at cable and bandwidth",
     "frozen": "the picture stands still there; data are lost, look at cable and bandwidth",
@@ -114,9 +115,10 @@ class PartsMonitor:
 
     def _judge_bands(self, picture: np.ndarray, before: np.ndarray | None) -> bool:
         rolling = before is not None and bands(picture, before) > self._config.bands_above
-        most = self._config.raise_frames + self._config.clear_frames
+        needed = max(self._config.raise_frames, BANDS_CHANGES)
+        most = needed + self._config.clear_frames
         self._bands = min(self._bands + 1, most) if rolling else max(self._bands - 1, 0)
-        return self._bands >= self._config.raise_frames
+        return self._bands >= needed
 
     def _reason(self, banded: bool) -> str:
         if not self._blind.any():

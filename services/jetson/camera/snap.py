@@ -20,7 +20,7 @@ from common.config import ConfigError
 from services.jetson.camera.config import CameraConfig
 from services.jetson.camera.frames import Frame, RateLimit
 from services.jetson.camera.source import open_source
-from services.jetson.camera.training.calibrate import find_board
+from services.jetson.camera.training.calibrate import LEAST_CORNERS, find_board
 from services.jetson.camera.training.coverage import FIELDS, corners_by_field, uncovered
 
 
@@ -29,8 +29,8 @@ def snap(
     folder: Annotated[Path, typer.Argument(help="Where the pictures go; they are numbered on.")] = Path("board"),
     count: Annotated[int, typer.Option(min=1, max=1000, help="How many pictures.")] = 12,
     every_s: Annotated[float, typer.Option("--every", min=0.1, max=60.0, help="Seconds between two.")] = 2.0,
-    columns: Annotated[int, typer.Option(min=2, help="Inner corners along a row of the board.")] = 9,
-    rows: Annotated[int, typer.Option(min=2, help="Inner corners along a column.")] = 6,
+    columns: Annotated[int, typer.Option(min=LEAST_CORNERS, help="Inner corners along a row of the board.")] = 9,
+    rows: Annotated[int, typer.Option(min=LEAST_CORNERS, help="Inner corners along a column.")] = 6,
 ) -> None:
     """Take pictures for `calibrate`, one every two seconds, and say of each whether the board is in it.
 

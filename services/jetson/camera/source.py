@@ -155,15 +155,22 @@ def _recording(url: SourceUrl, config: CaptureConfig) -> tuple[Path, list[Path],
 def _replayed(
     url: SourceUrl, path: Path, pictures: list[Path], period_s: float, stop: threading.Event
 ) -> Iterator[Frame]:
-    """A recording at its own pace times ``rate``; once, or over and over with ``loop=1``."""
+    """A recording at its own pace times ``rate``; once, or over and over with ``loop=1``.
+
+    Raises:
+        ConfigError: a picture that cannot be read, or a video of which none can.
+    """
     rate = url.number("rate", 1.0)
     pace = Pace(period_s / rate if rate > 0 else 0.0, stop)
     while True:
+        came = False
         for image in _pictures(pictures) if pictures else _video(path):
             if not pace.wait():
                 return
-            stamp_ns = utc_ns()
+            stamp_ns, came = utc_ns(), True
             yield Frame(stamp_ns, stamp_ns, image)
+        if not came:
+            raise ConfigError(f"source {url}: not one picture of this video can be read; is the file cut or damaged?")
         if not url.flag("loop"):
             log.info("%s has ended", url)
             return

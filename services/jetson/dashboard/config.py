@@ -27,7 +27,7 @@ class DashboardConfig(ServiceConfig, frozen=True, kw_only=True):
     """``fusion_host`` says whose verdict the page shows."""
 
     host: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9_]+$")] = "jetson0"
-    fusion_host: str = "jetson0"
+    fusion_host: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9_]+$")] = "jetson0"
     other_hosts: tuple[str, ...] = ()  # of other vehicles: not shown; `spotter up` fills them in
     server: ServerConfig = ServerConfig()
     map: MapOrigin | None = None  # where the map lies on the Earth, for /api/tracks.geojson; `spotter up` fills it in

@@ -26,6 +26,8 @@ class CanSignals:
     """
 
     def __init__(self, config: CanConfig) -> None:
+        if not config.dbc:
+            raise ConfigError('[can] dbc is missing: expected the file with the bus\'s signals, e.g. dbc = "car.dbc"')
         try:
             import cantools
         except ImportError:

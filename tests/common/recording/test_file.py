@@ -6,6 +6,7 @@ import errno
 import io
 import json
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from common.codec import encode
 from common.messages import Verdict
 from common.recording.file import RecordingFile
 from common.recording.reader import (
+    WRITTEN_BY,
     RecordingError,
     expected_messages,
     files_in,
@@ -27,6 +29,7 @@ from common.recording.reader import (
 KEY = "jetson0/fusion/verdict"
 Make = Callable[..., Verdict]
 Recorded = Callable[..., Path]
+Limit = Callable[[int], AbstractContextManager[None]]
 
 
 def test_messages_come_back_byte_for_byte(recording_of: Recorded, verdict: Make) -> None:
@@ -59,6 +62,19 @@ def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
     with pytest.raises(FileExistsError):
         RecordingFile(path, {})
     assert path.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("note", ["", "x" * 300_000], ids=["little to say", "much to say"])
+def test_a_file_that_cannot_be_begun_is_not_left_behind(tmp_path: Path, file_size_limit: Limit, note: str) -> None:
+    with file_size_limit(10), pytest.raises(OSError, match="File too large"):
+        RecordingFile(tmp_path / "a.mcap", {"spotter": {"note": note}}).close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_to_be_whole_is_not_left_behind_when_its_writing_is_ended(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), RecordingFile(tmp_path / "a.mcap", {}, whole=True):
+        raise KeyboardInterrupt
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_cut_file_is_read_up_to_its_last_whole_chunk(recording_of: Recorded) -> None:
@@ -111,6 +127,24 @@ def test_a_folder_is_its_files_in_order(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     assert [path.name for path in files_in(tmp_path)] == ["spotter-1-000.mcap", "spotter-1-001.mcap"]
     assert files_in(tmp_path / "notes.txt") == [tmp_path / "notes.txt"]
+
+
+def test_files_of_one_recorder_go_by_its_own_count_also_where_the_clock_was_set_back(tmp_path: Path) -> None:
+    written = [
+        ("spotter-20260314T120000Z-000.mcap", "b", 0),
+        ("spotter-20260314T120500Z-001.mcap", "b", 1),
+        ("spotter-20260314T100000Z-002.mcap", "b", 2),  # the clock was set back by two hours
+        ("spotter-20260314T110000Z-000.mcap", "a", 0),  # of another recorder, before
+    ]
+    for name, recorder, number in written:
+        with RecordingFile(tmp_path / name, {WRITTEN_BY: {"recorder": recorder, "file": str(number)}}):
+            pass
+    RecordingFile(tmp_path / "spotter-20260314T113000Z-000.mcap", {}).close()  # of an older version
+    (tmp_path / "spotter-20260314T130000Z-000.mcap").write_bytes(b"damaged")
+    whole = tmp_path / written[1][0]
+    whole.write_bytes(whole.read_bytes()[:200])  # its recorder was killed
+    hours = [path.name.split("T")[1][:4] for path in files_in(tmp_path)]
+    assert hours == ["1100", "1130", "1200", "1205", "1000", "1300"]
 
 
 def test_what_cannot_be_read_at_all_is_told_as_such(tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from datetime import UTC, datetime
+from contextlib import AbstractContextManager
+from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,7 @@ from common.codec import decode, encode
 from common.config import ServiceConfig, ZenohConfig
 from common.messages import LidarZones
 from common.recording.file import RecordingFile
-from common.recording.reader import read, summarise
+from common.recording.reader import files_in, read, summarise
 from common.recording.recorder import Arrival, DiskFull, Recorder, RecorderOptions
 
 Zones = Callable[[int], LidarZones]
@@ -99,8 +100,10 @@ def test_files_rotate_by_size_and_none_is_lost_at_the_seam(
                 enough.wait(0.01)
 
         run_recorder(recorder, feed, 52)
-    paths = sorted(tmp_path.glob("*.mcap"), key=lambda path: path.stem[-3:])
+    files_in(tmp_path)[-1].rename(tmp_path / "spotter-19700101T000000Z-000.mcap")  # as if the clock had been set back
+    paths = files_in(tmp_path)
     assert len(paths) >= 2
+    assert paths[-1].name == "spotter-19700101T000000Z-000.mcap"
     stamps = [decode(one.payload, LidarZones).stamp_ns for path in paths for one in read(path)]
     assert stamps == list(range(len(stamps)))
 
@@ -112,6 +115,39 @@ def test_a_full_disk_stops_before_it_is_full(
         recorder = Recorder(laptop, [topics.LIDAR_ZONES], RecorderOptions(tmp_path, keep_free_bytes=10**18), {})
         with pytest.raises(DiskFull, match="GB free"):
             recorder.run(threading.Event())
+
+
+def test_a_disk_that_takes_no_file_at_all_leaves_none_behind(
+    zenoh_config: ZenohConfig, tmp_path: Path, file_size_limit: Callable[[int], AbstractContextManager[None]]
+) -> None:
+    told = f"{re.escape(str(tmp_path))}.*: File too large; recording stopped before the first message, no file is left"
+    with open_session(zenoh_config) as laptop:
+        recorder = Recorder(laptop, [topics.LIDAR_ZONES], RecorderOptions(tmp_path, 0, foxglove=False), {})
+        with file_size_limit(10), pytest.raises(DiskFull, match=told):
+            recorder.run(threading.Event())
+        recorder.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_recorders_that_begin_in_one_folder_in_the_same_second_have_a_file_each(
+    zenoh_config: ZenohConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Second(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> Second:
+            return cls(2026, 3, 14, 9, 15, 2, tzinfo=tz)
+
+    monkeypatch.setattr("common.recording.recorder.datetime", Second)
+    with open_session(zenoh_config) as laptop:
+        for _ in range(2):
+            recorder = Recorder(laptop, [topics.LIDAR_ZONES], RecorderOptions(tmp_path, 0, foxglove=False), {})
+            stop = threading.Event()
+            recorder.run(stop, lambda _, stop=stop: stop.set())  # type: ignore[misc]
+            recorder.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "spotter-20260314T091502Z-000.mcap",
+        "spotter-20260314T091502Z-001.mcap",
+    ]
 
 
 @pytest.fixture

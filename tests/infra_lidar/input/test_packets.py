@@ -139,6 +139,7 @@ def test_ouster_losses_invalid_columns_and_strangers():
     [
         "",
         "[]",
+        "[" * 100_000,
         "{}",
         metadata("SMOKE"),
         metadata(beams=5),

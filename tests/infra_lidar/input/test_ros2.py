@@ -164,6 +164,19 @@ def test_hesai_packets_of_three_drivers(router_endpoint, ros, until, tmp_path: P
     assert abs(utc_ns() - stamp_ns) < 60 * 10**9, "a packet without a stamp has its message's"
 
 
+def test_a_packet_that_cannot_be_used_costs_no_other_of_its_message(
+    router_endpoint, ros, until, tmp_path: Path
+) -> None:
+    (tmp_path / "angles.csv").write_text(ANGLES)
+    opened = Opened(f"ros2:/packets?type={NEBULA}&calibration={tmp_path}/angles.csv&sensor=hesai", router_endpoint)
+    publish = connected(until, Node(ros, "driver").publisher("/packets", NEBULA, SENSOR_DATA))
+    publish(as_message(NEBULA, [*HESAI[:3], b"nonsense", *HESAI[3:]]))
+    until(lambda: opened.frames)
+    assert len(opened.frames[0][1].packets) == 60
+    until(lambda: opened.report.snapshot().counters.get("unusable packet") == 1)
+    assert opened.report.snapshot().state != "disconnected"
+
+
 def hesai_with(third: HesaiPacket | None = None) -> list[bytes]:
     """Packets with check sums that are right; ``third`` comes in place of the third."""
     plain = [HesaiPacket(sequence=k, azimuth=(600 * k, 600 * k + 20)) for k in range(4)]

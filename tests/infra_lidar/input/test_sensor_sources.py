@@ -189,6 +189,8 @@ def test_a_port_without_difop_packets_is_said(free_ports: Callable[[], int], mon
         ("velodyne://:notaport", "expected a port from 1 to 65535, found 'notaport'"),
         ("velodyne://:2368?cut=north", "cut='north' is not a number"),
         ("hesai://h?calibration=/nope.csv", "/nope.csv: "),
+        ("hesai://h?firetimes=/nope.csv", "/nope.csv: "),
+        ("hesai://h?firetimes={binary}", "binary: .*can't decode"),
         ("hesai://h?port=0", "port: expected a port from 1 to 65535, found '0'"),
         ("ouster://h?metadata=/nope", "no Ouster metadata: .*/nope"),
         ("ouster://h?metadata={binary}", "binary: .*can't decode"),
@@ -257,3 +259,32 @@ def test_every_kind_is_found_by_its_models() -> None:
         assert {kind_of(model) for model in kind.models} == {name}
     with pytest.raises(KeyError, match="expected a sensor of velodyne"):
         kind_of("Livox")
+
+
+def test_firing_times_of_a_file_go_with_the_angles_that_the_sensor_tells(
+    command_port: tuple[int, dict[int, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port, answers = command_port
+    answers[0x05] = ANGLES.encode()
+    (tmp_path / "times.csv").write_text(OT128_FIRETIMES)
+    monkeypatch.setattr(calibration_files, "ask_calibration", lambda host: ask_calibration(host, port))
+    url = parse_source(f"hesai://127.0.0.1?firetimes={tmp_path}/times.csv", SCHEMES)
+    assert asked_metadata(url) == as_metadata(ANGLES, OT128_FIRETIMES)
+
+
+@pytest.mark.parametrize("answer", [b"SSH-2.0-sensor\r\n", b"", b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\n{}"])
+def test_an_ouster_that_answers_with_no_http_is_refused_in_words(answer: bytes) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve() -> None:
+            connection, _ = listener.accept()
+            with connection:
+                connection.recv(4096)
+                connection.sendall(answer)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        url = parse_source(f"ouster://127.0.0.1:{listener.getsockname()[1]}", SCHEMES)
+        with pytest.raises(ConfigError, match=r"no whole HTTP answer \(.*\); give a file: \?metadata=FILE"):
+            asked_metadata(url)
+        thread.join()

@@ -11,7 +11,7 @@ import pytest
 
 from services.jetson.camera.config import CameraConfig, HealthConfig
 from services.jetson.camera.health import reduce
-from services.jetson.camera.parts import Parts, PartsMonitor
+from services.jetson.camera.parts import Parts, PartsMonitor, bands
 from services.jetson.camera.pipeline import CameraPipeline
 from services.jetson.camera.source import fitted
 from spotter_sim import camera as simulated
@@ -57,10 +57,14 @@ def rolling_bands(image: np.ndarray, number: int) -> np.ndarray:
 
 
 def shown(
-    pictures: Iterator[np.ndarray], period_s: float = 1 / 15, boxes: np.ndarray = NO_BOXES, back_at: int = 10**9
+    pictures: Iterator[np.ndarray],
+    period_s: float = 1 / 15,
+    boxes: np.ndarray = NO_BOXES,
+    back_at: int = 10**9,
+    config: HealthConfig | None = None,
 ) -> list[Parts]:
     """The clock is set back by an hour before picture number ``back_at``."""
-    monitor, previous, states = PartsMonitor(HealthConfig()), None, []
+    monitor, previous, states = PartsMonitor(config or HealthConfig()), None, []
     for number, picture in enumerate(pictures):
         grey = reduce(picture)
         stamp_s = number * period_s - 3600.0 * (number >= back_at)
@@ -115,6 +119,16 @@ def test_the_simulated_world_is_a_view(scenario: str) -> None:
     """Twice a second for 25 s: people, cars that fill the picture, plain walls."""
     states = shown((simulated.image(scenario, t / 2) for t in range(50)), 0.5)
     assert {state.reason for state in states} == {""}
+
+
+@pytest.mark.parametrize("first_s", [10.85, 13.55])
+def test_a_car_that_passes_between_two_looks_is_no_band_that_rolls(first_s: float) -> None:
+    """Looks are 0.6 s apart and told at once: two pictures are no evidence of bands, whatever ``raise_frames`` is."""
+    at_once = HealthConfig(raise_frames=1)
+    pictures = [simulated.image("crossing", first_s + 0.6 * look) for look in range(3)]
+    first, second = (cv2.resize(reduce(picture), (320, 240)).astype(np.float32) for picture in pictures[:2])
+    assert bands(second, first) > at_once.bands_above
+    assert {state.reason for state in shown(iter(pictures), 0.6, config=at_once)} == {""}
 
 
 def test_a_box_of_the_network_explains_a_plain_part(texture: np.ndarray) -> None:

@@ -9,7 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from services.jetson.camera.__main__ import app
 from services.jetson.camera.config import CameraConfig, CaptureConfig
 from services.jetson.camera.snap import take
 from tests.jetson.camera.training.boards import board_picture
@@ -63,3 +65,10 @@ def test_the_command_ends_with_words(tmp_path: Path, source: str, code: int, tol
     ]
     done = subprocess.run([*command, "--every", "0.2"], capture_output=True, text=True, check=False)
     assert (done.returncode, told in done.stdout + done.stderr) == (code, True), done
+
+
+@pytest.mark.parametrize("option", ["--columns", "--rows"])
+def test_a_board_smaller_than_can_be_found_is_refused(tmp_path: Path, option: str) -> None:
+    result = CliRunner().invoke(app, ["--source", "sim:empty", "snap", str(tmp_path / "board"), option, "2"])
+    assert (result.exit_code, option in result.output) == (2, True), result.output
+    assert not (tmp_path / "board").exists()

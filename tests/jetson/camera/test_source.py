@@ -137,6 +137,16 @@ def test_a_torn_picture_is_an_error_not_a_black_frame(folder: Path, report: Repo
         frames_of(f"file:{folder}?rate=0", report)
 
 
+@pytest.mark.parametrize("loop", ["", "&loop=1"])
+def test_a_video_without_one_whole_picture_is_an_error_and_not_read_for_ever(
+    video: Path, report: Report, loop: str
+) -> None:
+    video.write_bytes(video.read_bytes()[:5700])  # the head is whole, its first picture is not
+    source, _ = open_source(CameraConfig(source=f"file:{video}?rate=0{loop}"), report)
+    with pytest.raises(ConfigError, match=r"not one picture of this video can be read; is the file cut or damaged\?"):
+        list(source(threading.Event()))
+
+
 def test_the_simulated_camera_shows_the_scenario_from_t0(report: Report) -> None:
     frames = frames_of("sim:crossing?t0=3", report, count=2)
     assert frames[0].image.shape == (480, 640, 3)

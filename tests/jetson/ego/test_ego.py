@@ -52,7 +52,7 @@ def test_the_simulated_motion_is_that_of_the_world() -> None:
         ("", "no source: give one"),
         ("sim:nowhere", "no scenario 'nowhere'"),
         ("radio:0", "expected one of can:, gpio:, imu:, ros2:, serial:, sim:, vesc:"),
-        ("can:can0", "dbc = ''"),
+        ("can:can0", r"\[can\] dbc is missing: expected the file with the bus's signals, e.g. dbc = \"car.dbc\""),
         ("gpio:/dev/gpiochip0", "the line of channel a"),
         ("imu:abacus", "no chip 'abacus'; there are: mpu6050, icm20948, bno055"),
         ("imu:mpu6050?address=high", "is not a number"),

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
-from common.config import load, public
+from common.bus.session import open_session
+from common.codec import decode
+from common.config import ZenohConfig, load, public
+from common.messages import ServiceStatus
 from services.jetson.dashboard.config import DashboardConfig
 from spotter_tools.cli.__main__ import app
 
@@ -34,3 +39,19 @@ def test_a_configuration_in_a_recording_has_no_secrets() -> None:
     assert "open-sesame" not in str(told)
     assert told["server"]["port"] == config.server.port
     assert "zenoh" not in told
+
+
+def test_the_last_word_of_a_recorder_that_a_full_disk_ended_is_why(
+    zenoh_config: ZenohConfig, tmp_path: Path, until: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # the command sets its own
+    words = ["record", str(tmp_path), "--keep-free", "1000000", "--host", "laptop1"]
+    with open_session(zenoh_config) as listener:
+        heard: list[ServiceStatus] = []
+        listener.declare_subscriber(
+            "laptop1/recorder/status", lambda one: heard.append(decode(one.payload.to_bytes(), ServiceStatus))
+        )
+        result = runner.invoke(app, [*words, "--connect", zenoh_config.connect[0], "--namespace", "spotter"])
+        until(lambda: heard)
+    assert (result.exit_code, "recording stopped, the files are complete" in result.output) == (1, True), result.output
+    assert (heard[-1].state, heard[-1].reason) == ("degraded", result.output.strip().removeprefix("spotter: "))

@@ -61,6 +61,9 @@ def test_a_place_that_cannot_be(words: list[str], code: int, said: str) -> None:
     [
         (["health", "--fusion-host", "a//"], "expected the name of a host"),
         (["metrics", "--host", "a//"], "expected the name of a host"),
+        (["record", "--host", "a//b"], "'a//b': expected a name of a-z, 0-9 and _"),
+        (["swap", "radar", "--candidate", "x", "--host", "a//b"], "'a//b': expected a name of a-z, 0-9 and _"),
+        (["cpm", "--to", "a:1", "--station-id", "1", "--host", "*"], "'*': expected a name of a-z, 0-9 and _"),
         (["acknowledge", "--fusion-host", ""], "expected the name of a host"),
         (["metrics", "--port", "99999"], "less than or equal to 65535"),
         (["hz", "x", "--seconds", "-1"], "greater than or equal to 0.05"),
@@ -72,6 +75,23 @@ def test_options_out_of_range(words: list[str], said: str) -> None:
     refused = runner.invoke(app, words)
     assert (refused.exit_code, isinstance(refused.exception, SystemExit)) == (2, True)
     assert said in " ".join(refused.output.split())
+
+
+@pytest.mark.parametrize("command", ["info", "echo", "hz"])
+@pytest.mark.parametrize("key", ["", "a//b", "/a", "a?b", "*x", "a/**/**"])
+def test_a_key_expression_that_is_none(command: str, key: str) -> None:
+    refused = runner.invoke(app, [command, key])
+    assert (refused.exit_code, refused.output.startswith(f"spotter: {key!r} is no key expression: ")) == (1, True)
+    assert len(refused.output.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("inside", "why"), [("", "File exists"), ("/x", "Not a directory")])
+def test_units_into_what_is_no_folder(tmp_path: Path, inside: str, why: str) -> None:
+    (tmp_path / "file").touch()
+    to = f"{tmp_path}/file{inside}"
+    refused = runner.invoke(app, ["install", "pi0", "--to", to])
+    said = f"spotter: --to {to}: expected a folder that takes the units: {to}: {why}"
+    assert (refused.exit_code, refused.output.splitlines()[-1]) == (1, said)
 
 
 def test_a_plot_names_the_endings_it_can_write(recording: Path, tmp_path: Path) -> None:

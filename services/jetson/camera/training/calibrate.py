@@ -16,11 +16,13 @@ import msgspec
 import numpy as np
 import typer
 
+from common.replace_file import replace_text
 from services.jetson.camera.config import CameraConfig, LensConfig
 from services.jetson.camera.detector import Detector
 from services.jetson.camera.training.coverage import Board, corners_by_field, coverage_picture, uncovered
 from services.jetson.camera.training.evaluate import lens_of
 
+LEAST_CORNERS = 3  # inner ones, each way: OpenCV finds no smaller board
 MIN_PICTURES = 5
 MIN_TILTED, TILTED_DEG = 3, 15.0
 MOST_UNCERTAIN = 0.02  # standard deviation of the focal length, as a share of it
@@ -48,8 +50,8 @@ class ChessboardResult(NamedTuple):
 @app.command()
 def chessboard(
     pictures: Annotated[list[Path], typer.Argument(help="Pictures of a chessboard, taken through the same pipeline.")],
-    columns: Annotated[int, typer.Option(help="Inner corners along a row.")] = 9,
-    rows: Annotated[int, typer.Option(help="Inner corners along a column.")] = 6,
+    columns: Annotated[int, typer.Option(min=LEAST_CORNERS, help="Inner corners along a row.")] = 9,
+    rows: Annotated[int, typer.Option(min=LEAST_CORNERS, help="Inner corners along a column.")] = 6,
     coverage: Annotated[Path | None, typer.Option(help="Draw here where on the picture the boards lay.")] = None,
     out: OutOption = Path("camera.toml"),
 ) -> None:
@@ -211,8 +213,11 @@ def _toml(value: object) -> str:
 
 
 def _finish(lens: LensConfig, out: Path, evidence: str) -> None:
-    text = out.read_text(encoding="utf-8") if out.exists() else ""
-    out.write_text(with_lens(text, lens), encoding="utf-8")
+    try:
+        text = out.read_text(encoding="utf-8") if out.exists() else ""
+        replace_text(out, with_lens(text, lens))  # never half a file: the service may be using it
+    except OSError as error:
+        raise typer.BadParameter(f"{out}: {error.strerror}; nothing in it was changed") from None
     typer.echo(f"f_x {lens.f_x_px:.1f} px, f_y {lens.f_y_px:.1f} px at {lens.width_px} x {lens.height_px} ({evidence})")
     typer.echo(f"written to {out}")
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import cv2
@@ -20,6 +23,7 @@ from spotter_sim import camera as simulated
 from spotter_sim.world import T_vehicle_camera, world_at
 from tests.jetson.camera.training.boards import COLUMNS, ROWS, board_picture, tilted_boards
 
+Limit = Callable[[int], AbstractContextManager[None]]
 Triple = tuple[float, float, float]
 
 
@@ -147,6 +151,36 @@ def test_the_object_command_takes_rows_by_hand_or_asks_the_network(tmp_path: Pat
         assert load(CameraConfig, out).lens.f_y_px == pytest.approx(simulated.F_Y_PX, rel=tolerance)
 
 
+def grey_picture(folder: Path) -> str:
+    path = folder / "grey.png"
+    cv2.imwrite(str(path), np.full((480, 640, 3), 128, np.uint8))
+    return str(path)
+
+
+def test_a_file_that_is_only_half_written_stays_as_it_was(tmp_path: Path, file_size_limit: Limit) -> None:
+    out = tmp_path / "camera.toml"
+    out.write_text(before := "# mine\n")
+    out.chmod(0o640)
+    words = ["calibrate", "object", grey_picture(tmp_path), "--height-m", "1.7", "--distance-m", "3"]
+    words += ["--box", "100,300", "--out", str(out)]
+    with file_size_limit(10):
+        result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2, result.output
+    assert "File too large; nothing in it was changed" in " ".join(result.output.replace("│", " ").split())
+    assert out.read_text() == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["camera.toml", "grey.png"]
+    assert CliRunner().invoke(app, words).exit_code == 0
+    assert (out.read_text()[:6], out.stat().st_mode & 0o777) == ("# mine", 0o640)
+
+
+@pytest.mark.parametrize(("columns", "rows"), [("2", "6"), ("9", "2")])
+def test_a_board_smaller_than_can_be_found_is_refused(tmp_path: Path, columns: str, rows: str) -> None:
+    words = ["calibrate", "chessboard", grey_picture(tmp_path), "--columns", columns, "--rows", rows]
+    result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "camera.toml")])
+    assert result.exit_code == 2, result.output
+    assert re.search(r"'--(columns|rows)': .*(x>=|equal to )3", " ".join(result.output.replace("│", " ").split()))
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
@@ -157,9 +191,7 @@ def test_the_object_command_takes_rows_by_hand_or_asks_the_network(tmp_path: Pat
     ],
 )
 def test_what_cannot_be_calibrated_is_said(tmp_path: Path, arguments: list[str], told: str) -> None:
-    picture = tmp_path / "grey.png"
-    cv2.imwrite(str(picture), np.full((480, 640, 3), 128, np.uint8))
-    common = ["calibrate", "object", str(picture), "--height-m", "1.7", "--distance-m", "3"]
+    common = ["calibrate", "object", grey_picture(tmp_path), "--height-m", "1.7", "--distance-m", "3"]
     result = CliRunner().invoke(app, [*common, *arguments, "--out", str(tmp_path / "out.toml")])
     assert result.exit_code != 0
     assert told in " ".join(result.output.replace("│", " ").split())
