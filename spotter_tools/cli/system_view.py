@@ -245,7 +245,7 @@ class Observer:
             if isinstance(message, Verdict):
                 self._fusions.setdefault(host, FusionWatch(now_s)).note_verdict(message, now_s)
             elif isinstance(message, SystemHealth):
-                self._fusions.setdefault(host, FusionWatch(self._started_s)).note_health(message)
+                self._fusions.setdefault(host, FusionWatch(self._started_s)).note_health(message, now_s)
             elif isinstance(message, ServiceStatus):
                 self._note_status(key, message)
 

@@ -21,6 +21,7 @@ from spotter_tools.cli.__main__ import app
 from spotter_tools.cli.connect import bus
 from spotter_tools.cli.fusion_view import FusionWatch, quantile
 from spotter_tools.cli.system_view import Observer, Overview
+from spotter_tools.cli.top import bar_lines
 
 pytestmark = pytest.mark.patient
 
@@ -151,10 +152,19 @@ def test_a_sensor_s_wrong_clock_is_no_latency(
         health.clocks["jetson0/lidar"] = ClockHealth(offset_ms=offset_ms, bound_ms=1.0, age_s=0.0, trusted=True)
     verdict.inputs["lidar"].stamp_ns = now_ns + int(offset_ms * 1e6)
     verdict.sent_ns = now_ns + 30_000_000
-    watch.note_health(health)
+    watch.note_health(health, 1.0)
     watch.note_verdict(verdict, 1.0)
     shown = watch.view("jetson0", "", 1.0).sensors["lidar"].latency_p50_ms
     assert shown == (None if latency_ms is None else pytest.approx(latency_ms, abs=0.01))
+
+
+def test_the_health_of_a_fusion_that_is_silent_is_not_shown_as_it_was(speakers: ModuleType) -> None:
+    watch = FusionWatch(0.0)
+    watch.note_health(speakers.health(time.time_ns()), 1.0)
+    assert (watch.view("jetson0", "", 2.9).colour, set(watch.view("jetson0", "", 2.9).sensors)) == ("green", {"lidar"})
+    late = watch.view("jetson0", "", 3.1)
+    assert (late.colour, late.sensors) == ("", {})
+    assert bar_lines(Overview(fusions=[late], services=[], topics=[])) == ["health unknown: fusion does not publish"]
 
 
 def test_quantiles_are_ranks() -> None:
