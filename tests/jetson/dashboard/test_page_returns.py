@@ -1,0 +1,68 @@
+"""A server that is gone without a word, as after a power cut: nothing ends the page's connection, and it comes back."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+pytestmark = [pytest.mark.system, pytest.mark.slow]
+
+CUT_OFF = "!document.getElementById('link').hidden"
+WELL = "document.getElementById('link').hidden"
+
+
+class Relay:
+    """TCP to ``port``; after ``strand`` the connections that are there stay open and carry nothing, new ones do."""
+
+    def __init__(self, port: int) -> None:
+        self._port, self._era = port, 0
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{self._listener.getsockname()[1]}"
+        self._ends: list[socket.socket] = []
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def strand(self) -> None:
+        self._era += 1
+
+    def close(self) -> None:
+        for one in (self._listener, *self._ends):
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+            one.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                here, _ = self._listener.accept()
+                there = socket.create_connection(("127.0.0.1", self._port))
+                self._ends += [here, there]
+                for ends in ((here, there), (there, here)):
+                    threading.Thread(target=self._carry, args=(*ends, self._era), daemon=True).start()
+
+    def _carry(self, source: socket.socket, sink: socket.socket, era: int) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(65_536):
+                if era == self._era:
+                    sink.sendall(data)
+            if era == self._era:
+                sink.shutdown(socket.SHUT_WR)
+
+
+@pytest.fixture
+def relay(module_router: str, start_dashboard_at: Callable[..., Any]) -> Iterator[Relay]:
+    relay = Relay(start_dashboard_at(module_router).port)
+    yield relay
+    relay.close()
+
+
+def test_a_connection_that_nobody_ends_is_made_anew(browser: Any, relay: Relay) -> None:
+    browser.open(f"{relay.url}/")
+    browser.wait(WELL, 20.0)
+    relay.strand()
+    browser.wait(CUT_OFF, 20.0)
+    browser.wait(WELL, 20.0)
