@@ -1,4 +1,4 @@
-"""A server that is gone without a word, as after a power cut: nothing ends the page's connection, and it comes back."""
+"""The page's connection when its server vanishes without a word, and what it says before it has heard of everything."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+
+from common.config import ZenohConfig
+from tests.jetson.dashboard.speaking_fusion import Fusion
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 
@@ -66,3 +69,19 @@ def test_a_connection_that_nobody_ends_is_made_anew(browser: Any, relay: Relay) 
     relay.strand()
     browser.wait(CUT_OFF, 20.0)
     browser.wait(WELL, 20.0)
+
+
+def test_a_verdict_that_is_not_live_says_so_before_any_health(
+    browser: Any, module_router: str, start_dashboard_at: Callable[..., Any]
+) -> None:
+    fusion = Fusion(ZenohConfig(connect=(module_router,)), tells_health=False, source_kind="simulated")
+    speaking = threading.Thread(target=fusion.live)
+    speaking.start()
+    try:
+        browser.open(f"{start_dashboard_at(module_router).url}/")
+        browser.wait("document.getElementById('level').textContent === 'SAFE'", 20.0)
+        browser.wait("document.getElementById('origin').textContent.includes('SIMULATED DATA')", 5.0)
+        assert not browser.run("document.getElementById('origin').hidden")
+    finally:
+        fusion.stop.set()
+        speaking.join()
