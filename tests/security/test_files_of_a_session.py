@@ -10,6 +10,8 @@ from common.bus.session import build
 from common.config import ConfigError, ZenohConfig
 from common.security.authority import init, issue
 from common.security.router_config import with_certificate
+from spotter_tools.cli.router import _serve
+from spotter_tools.ports import free_port
 
 
 @pytest.fixture
@@ -51,3 +53,13 @@ def test_a_file_that_is_something_else_is_named(keys: Path, part: str, found: by
         build(config)
     assert str(path) in str(refused.value)
     assert str(refused.value).endswith(complaint)
+
+
+def test_a_router_does_not_blame_another_one_for_its_certificate(keys: Path, capsys: pytest.CaptureFixture) -> None:
+    (keys / "pi0.crt").write_bytes(b"nonsense")
+    config = with_certificate(ZenohConfig(mode="router", listen=(f"tls/127.0.0.1:{free_port()}",)), keys, "pi0")
+    with pytest.raises(SystemExit) as ended:
+        _serve(config, None)
+    assert ended.value.code == 2
+    assert "expected a certificate in PEM" in (told := capsys.readouterr().err)
+    assert "another router" not in told
