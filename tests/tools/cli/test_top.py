@@ -20,7 +20,7 @@ from common.messages import ClockHealth
 from spotter_tools.cli.__main__ import app
 from spotter_tools.cli.connect import bus
 from spotter_tools.cli.fusion_view import FusionWatch, quantile
-from spotter_tools.cli.system_view import Observer, Overview
+from spotter_tools.cli.system_view import Observer, Overview, ServiceView
 from spotter_tools.cli.top import bar_lines
 
 pytestmark = pytest.mark.patient
@@ -88,6 +88,30 @@ def test_a_service_that_went_away_is_said_to_be_gone(zenoh_config: ZenohConfig, 
         (radar,) = observer.overview().services
         observer.close()
     assert (radar.state, radar.reason) == ("disconnected", "the process is gone")
+
+
+def test_a_service_that_hangs_is_not_shown_as_it_last_was(
+    zenoh_config: ZenohConfig, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its token stays up, as that of a process whose interpreter stands still."""
+    monkeypatch.setattr("spotter_tools.cli.system_view.STATUS_AGE_LIMIT_S", 0.3)
+    with bus(zenoh_config.connect[0], "spotter") as session, bus(zenoh_config.connect[0], "spotter") as other:
+        observer = Observer(session)
+        token = other.liveliness().declare_token("pi0/radar/alive/a")
+        report = Report("a")
+        report.state("online")
+        word = encode(report.snapshot())
+        until(lambda: other.put("pi0/radar/status", word) or getattr(radar_of(observer), "state", "") == "online")
+        until(lambda: getattr(radar_of(observer), "state", "") == "disconnected")
+        radar = radar_of(observer)
+        token.undeclare()
+        observer.close()
+    assert radar.instances == 1
+    assert radar.reason == "does not answer: no status for 0 s, its process is there"
+
+
+def radar_of(observer: Observer) -> ServiceView:
+    return service_of(observer.overview(), "radar")  # type: ignore[return-value]
 
 
 def test_once_prints_everything_as_text_and_as_json(speaking: str) -> None:
