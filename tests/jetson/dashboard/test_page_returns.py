@@ -8,9 +8,15 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
-from common.config import ZenohConfig
+from common import topics
+from common.bus.runtime import Service
+from common.clock import utc_ns
+from common.config import ServiceConfig, ZenohConfig
+from common.messages import CameraDetections, CompressedImage
 from tests.jetson.dashboard.speaking_fusion import Fusion
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
@@ -69,6 +75,44 @@ def test_a_connection_that_nobody_ends_is_made_anew(browser: Any, relay: Relay) 
     relay.strand()
     browser.wait(CUT_OFF, 20.0)
     browser.wait(WELL, 20.0)
+
+
+class Camera:
+    """Sends a picture with these words, and what was detected, five times a second."""
+
+    def __init__(self, zenoh: ZenohConfig) -> None:
+        self.words, self._zenoh, self._stop = "first", zenoh, threading.Event()
+        self._thread = threading.Thread(target=self._send)
+
+    def __enter__(self) -> Camera:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def _send(self) -> None:
+        data = cv2.imencode(".jpg", np.zeros((48, 64, 3), np.uint8))[1].tobytes()
+        with Service("camera", ServiceConfig(host="jetson0", zenoh=self._zenoh)) as service:
+            image, boxes = service.publisher(topics.CAMERA_IMAGE), service.publisher(topics.CAMERA_DETECTIONS)
+            while not self._stop.wait(0.2):
+                now_ns = utc_ns()
+                image(CompressedImage(stamp_ns=now_ns, format="jpeg", data=data, captions=[self.words]))
+                boxes(
+                    CameraDetections(stamp_ns=now_ns, detections=[], brightness=9.0, level=None, image_size_px=(64, 48))
+                )
+
+
+def test_the_picture_comes_back_too(browser: Any, relay: Relay, module_router: str) -> None:
+    shows = "document.getElementById('camera-words').textContent === '{}'"
+    with Camera(ZenohConfig(connect=(module_router,))) as camera:
+        browser.open(f"{relay.url}/")
+        browser.run("document.getElementById('camera').scrollIntoView()")
+        browser.wait(shows.format("first"), 20.0)
+        relay.strand()
+        camera.words = "second"
+        browser.wait(shows.format("second"), 90.0)  # each stranded connection of the browser costs five seconds
 
 
 def test_a_verdict_that_is_not_live_says_so_before_any_health(
