@@ -174,7 +174,10 @@ def _from_wire(name: str, wire: WireArray) -> np.ndarray:
     expected = math.prod(wire.shape) * dtype.itemsize
     if expected != wire.data.nbytes:
         raise DecodeError(f"{name}: shape {wire.shape} of {wire.dtype} needs {expected} bytes, got {wire.data.nbytes}")
-    return np.frombuffer(wire.data, dtype=dtype).reshape(wire.shape)
+    try:
+        return np.frombuffer(wire.data, dtype=dtype).reshape(wire.shape)
+    except ValueError:  # no bytes, but an axis longer than any array may be
+        raise DecodeError(f"{name}: {wire.shape} is no shape of an array") from None
 
 
 def _enc_hook_list(value: Any) -> Any:

@@ -14,7 +14,7 @@ import msgspec
 from common import topics
 from common.bus.raw_tap import with_changes
 from common.bus.status import Report
-from common.codec import decode, encode, to_builtins
+from common.codec import DecodeError, decode, encode, to_builtins
 from common.config import ConfigError, load
 from common.messages import Message
 from common.recording.raw import pieces
@@ -57,7 +57,8 @@ def verify_service(service: str, path: Path, config: Path | None = None) -> Outc
     """Run the service over the recording's raw bytes and compare everything it said with what it says now.
 
     Raises:
-        ConfigError: no raw bytes of it in the recording, not from their beginning, pieces lost, or a wrong config.
+        ConfigError: no raw bytes of it in the recording, not from their beginning, pieces lost, a result that cannot
+            be read, or a wrong config.
         RecordingError: the recording is damaged.
     """
     one = SERVICES[service]
@@ -103,8 +104,12 @@ def compare(recorded: Iterable[Message], again: Iterable[Message]) -> Outcome:
 
 def _recorded(path: Path, topic: Topic) -> Iterator[Message]:
     for one in (one for file in files_in(path) for one in read(file)):
-        if one.key.partition("/")[2] == topic.name:
+        if one.key.partition("/")[2] != topic.name:
+            continue
+        try:
             yield decode(one.payload, topic.message, topic.max_bytes)
+        except DecodeError as error:
+            raise ConfigError(f"{path}: {one.key} of {one.log_ns} ns cannot be read: {error}") from None
 
 
 def _whole(url: SourceUrl, topic: Topic) -> None:

@@ -6,8 +6,10 @@ import json
 import logging
 import os
 import re
+import ssl
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -90,6 +92,8 @@ def build(config: ZenohConfig) -> zenoh.Config:
     """The Zenoh configuration; raises ``ConfigError`` with the setting that Zenoh refuses."""
     for endpoint in (*config.connect, *config.listen):
         refuse_malformed(endpoint)
+    if config.ca_certificate and config.certificate and config.private_key:
+        refuse_unusable(config)
     built = zenoh.Config()
     for path, value in zenoh_settings(config).items():
         try:
@@ -116,6 +120,28 @@ def refuse_malformed(endpoint: str) -> None:
     else:
         return
     raise ConfigError(f"[zenoh] endpoint {endpoint!r}: expected PROTOCOL/HOST:PORT, e.g. tcp/127.0.0.1:7447; {wrong}")
+
+
+def refuse_unusable(config: ZenohConfig) -> None:
+    """Zenoh takes certificates that are missing or something else for a router that does not answer, and waits.
+
+    Raises:
+        ConfigError: names the file.
+    """
+    files = {name: getattr(config, name) for name in ("ca_certificate", "certificate", "private_key")}
+    for name, path in files.items():
+        try:
+            Path(path).open("rb").close()
+        except OSError as error:
+            raise ConfigError(f"[zenoh] {name} = {path!r}: {error.strerror}") from None
+    context, told = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), f"[zenoh] ca_certificate = {config.ca_certificate!r}"
+    try:
+        context.load_verify_locations(config.ca_certificate)
+        told = f"[zenoh] certificate = {config.certificate!r}, private_key = {config.private_key!r}"
+        context.load_cert_chain(config.certificate, config.private_key, password="")
+    except ssl.SSLError:
+        key = " and the private key that belongs to it" if "private_key" in told else ""
+        raise ConfigError(f"{told}: expected a certificate in PEM{key}") from None
 
 
 def open_session(config: ZenohConfig, *, give_up_after_s: float | None = None) -> zenoh.Session:

@@ -139,7 +139,11 @@ class Report:
 
 
 def _resident_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    """Of now; the most so far where that cannot be read, as without a free file descriptor."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
     return pages * _PAGE_BYTES / 1e6
 
 

@@ -44,9 +44,6 @@ class Watchdog:
         if not self._address:
             return
         address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+        with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
             sender.setblocking(False)  # a supervisor that is stopped itself must not stop us
-            try:
-                sender.sendto(text.encode(), address)
-            except OSError:
-                return  # nobody listens any more
+            sender.sendto(text.encode(), address)  # nobody listens any more, or no descriptor is left: the next time

@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import ipaddress
 import os
+import re
 from pathlib import Path
 
 from cryptography import x509
@@ -24,6 +25,8 @@ AUTHORITY_DAYS = 3650
 DAYS: dict[Kind, int] = {"host": 730, "laptop": 365}
 BACKDATED = dt.timedelta(days=1)  # a Pi without a battery clock may start a little in the past
 AUTHORITY = "ca"
+NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,59}")  # a common name has 64 characters at the most
+LIKE_A_SECOND_ISSUE = re.compile(r".*\.\d+")  # as ``Name.common_name`` makes it
 
 
 def init(folder: Path, site: str, days: int = AUTHORITY_DAYS) -> Path:
@@ -52,8 +55,14 @@ def issue(folder: Path, name: str, kind: Kind, addresses: tuple[str, ...] = (), 
     """A key pair for a host or a laptop, entered in the register; returns the certificate.
 
     Raises:
-        ConfigError: no authority here, or the name belongs to the other kind.
+        ConfigError: no authority here, the name belongs to the other kind, or it would take the place of the
+            authority's files or of another name's certificate.
     """
+    if name == AUTHORITY or not NAME.fullmatch(name) or LIKE_A_SECOND_ISSUE.fullmatch(name):
+        raise ConfigError(
+            f"{name!r}: expected a name of at most 60 letters, digits, _, - and dots, not {AUTHORITY!r}, and without "
+            "a dot and a number at its end"
+        )
     names = read_names(folder)
     known = names.names.get(name)
     if known is not None and known.kind != kind:

@@ -12,11 +12,13 @@ import msgspec
 
 from common.clock import WRONG_CLOCK_S
 from common.messages import SensorState, SourceKind, SystemHealth, Verdict
-from common.topics import FUSION_VERDICT
+from common.topics import FUSION_HEALTH, FUSION_VERDICT
 
 LATENCY_WINDOW_S = 60.0
 MAX_LATENCIES = 20_000
 VERDICT_AGE_LIMIT_S = FUSION_VERDICT.age_limit_s or math.inf
+HEALTH_AGE_LIMIT_S = FUSION_HEALTH.age_limit_s or math.inf
+UNKNOWN = "health unknown: fusion does not publish"
 
 
 class SensorView(msgspec.Struct, kw_only=True):
@@ -30,7 +32,9 @@ class SensorView(msgspec.Struct, kw_only=True):
 
 
 class FusionView(msgspec.Struct, kw_only=True):
-    """One fusion. ``host`` is empty where none was heard; ``verdict`` is None when the newest is too old."""
+    """One fusion. ``host`` is empty where none was heard; ``verdict`` is None when the newest is too old; then
+    ``colour`` is empty and there are no ``sensors`` either, each by the health's own limit.
+    """
 
     host: str
     vehicle: str
@@ -53,6 +57,7 @@ class FusionWatch:
         self._at_s = started_s
         self._verdict: Verdict | None = None
         self._health: SystemHealth | None = None
+        self._health_at_s = started_s
         self._last_stamp_ns: dict[str, int] = {}
         self._latencies_ms: dict[str, deque[tuple[float, float]]] = {}
 
@@ -77,26 +82,28 @@ class FusionWatch:
         clocks = self._health.clocks if self._health else {}
         return next((one.offset_ms for name, one in clocks.items() if name.endswith(f"/{sensor}")), 0.0)
 
-    def note_health(self, health: SystemHealth) -> None:
+    def note_health(self, health: SystemHealth, now_s: float) -> None:
         """Take in the newest health message."""
-        self._health = health
+        self._health, self._health_at_s = health, now_s
 
     def view(self, host: str, vehicle: str, now_s: float) -> FusionView:
         """What is to be shown at this moment."""
         silent_s = now_s - self._at_s
+        health = self._health if now_s - self._health_at_s <= HEALTH_AGE_LIMIT_S else None
+        unknown = UNKNOWN if self._health else ""
         return FusionView(
             host=host,
             vehicle=vehicle,
             verdict=self._verdict if silent_s <= VERDICT_AGE_LIMIT_S else None,
             verdict_silent_s=silent_s,
-            colour=self._health.colour if self._health else "",
-            summary=self._health.summary if self._health else "",
-            sensors=self._sensors(now_s),
+            colour=health.colour if health else "",
+            summary=health.summary if health else unknown,
+            sensors=self._sensors(health, now_s) if health else {},
         )
 
-    def _sensors(self, now_s: float) -> dict[str, SensorView]:
+    def _sensors(self, health: SystemHealth, now_s: float) -> dict[str, SensorView]:
         views = {}
-        for name, sensor in self._health.sensors.items() if self._health else ():
+        for name, sensor in health.sensors.items():
             recent = self._latencies_ms.get(name, deque())
             while recent and recent[0][0] < now_s - LATENCY_WINDOW_S:
                 recent.popleft()

@@ -14,7 +14,7 @@ import typer
 import zenoh
 
 from common.bus.service_app import run_until_stopped, setup_logging
-from common.bus.session import close_session, init_zenoh_log, nested_settings, open_session
+from common.bus.session import build, close_session, init_zenoh_log, nested_settings, open_session
 from common.bus.tcp_timeout import set_tcp_user_timeout
 from common.bus.watchdog import Watchdog
 from common.config import ConfigError, ZenohConfig
@@ -117,6 +117,7 @@ def _serve(config: ZenohConfig, of_site: _OfSite | None) -> NoReturn:
     try:
         for endpoint in config.listen:
             refuse_taken(endpoint, "is another router or demo running?")
+        build(config)  # what is wrong with the settings themselves is nobody else's doing
     except ConfigError as error:
         fail(str(error), code=2)
     try:

@@ -173,7 +173,7 @@ class Observer:
 
     def _service_view(self, host: str, service: str, instances: int) -> ServiceView:
         key = status_topic(service).key(host)
-        status, there = self._status.get(key), instances > 0 or self._records(host, service)
+        status, gone = self._status.get(key), self._why_gone(host, service, instances)
         if status is None:
             return ServiceView(
                 host=host, vehicle=self._vehicles.get(host, ""), service=service, instances=instances, state=None,
@@ -187,9 +187,9 @@ class Observer:
             vehicle=self._vehicles.get(host, ""),
             service=service,
             instances=instances,
-            state=status.state if there else "disconnected",
-            reason=status.reason if there else "the process is gone",
-            rate_hz=status.rate_hz,
+            state="disconnected" if gone else status.state,
+            reason=gone or status.reason,
+            rate_hz=0.0 if gone else status.rate_hz,
             last_frame_age_s=status.last_frame_age_s,
             cpu_share=self._cpu_share.get(key),
             cpu_s=status.cpu_s,
@@ -201,10 +201,18 @@ class Observer:
             slowest_stage_ms=status.stage_ms.get(slowest),
         )
 
-    def _records(self, host: str, service: str) -> bool:
-        """A laptop's recorder is present while its status arrives: the rules may deny it a token."""
-        status = self._arrivals.get(status_topic(RECORDER).key(host)) if service == RECORDER else None
-        return status is not None and monotonic_s() - status.last_s < STATUS_AGE_LIMIT_S
+    def _why_gone(self, host: str, service: str, instances: int) -> str:
+        """Why its last status says nothing of now; empty while it does.
+
+        A laptop's recorder has no token where the rules deny it one: it is there while its status arrives.
+        """
+        arrivals = self._arrivals.get(status_topic(service).key(host))
+        silent_s = math.inf if arrivals is None else monotonic_s() - arrivals.last_s
+        if not instances and (service != RECORDER or silent_s >= STATUS_AGE_LIMIT_S):
+            return "the process is gone"
+        if silent_s >= STATUS_AGE_LIMIT_S:
+            return f"does not answer: no status for {silent_s:.0f} s, its process is there"
+        return ""
 
     @staticmethod
     def _topic_view(key: str, arrivals: _Arrivals, now_s: float) -> TopicView:
@@ -245,7 +253,7 @@ class Observer:
             if isinstance(message, Verdict):
                 self._fusions.setdefault(host, FusionWatch(now_s)).note_verdict(message, now_s)
             elif isinstance(message, SystemHealth):
-                self._fusions.setdefault(host, FusionWatch(self._started_s)).note_health(message)
+                self._fusions.setdefault(host, FusionWatch(self._started_s)).note_health(message, now_s)
             elif isinstance(message, ServiceStatus):
                 self._note_status(key, message)
 

@@ -77,7 +77,7 @@ def verdict_lines(overview: Overview) -> list[str]:
 def bar_lines(overview: Overview) -> list[str]:
     """The health bar of each fusion."""
     return [
-        f"{_whose(one, overview)}{one.colour.upper()}: {one.summary}" if one.colour else "no health yet"
+        f"{_whose(one, overview)}{one.colour.upper()}: {one.summary}" if one.colour else one.summary or "no health yet"
         for one in overview.fusions
     ]
 

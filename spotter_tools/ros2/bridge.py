@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 from dataclasses import dataclass, field
 from typing import Any
@@ -149,10 +150,13 @@ class Bridge:
         if not line.row.says_itself and message.source_kind != line.kind:
             self._refuse(f"{line.key}: {message.source_kind} data under a name for {line.kind} ones")
             return
-        mapped = line.row.map(message, line.host)
-        if mapped is not None:
-            line.publish(mapped)
-            line.sent += 1
+        try:
+            mapped = line.row.map(message, line.host)
+            if mapped is not None:
+                line.publish(mapped)
+                line.sent += 1
+        except (struct.error, ValueError, ArithmeticError):  # a stamp or a number that its 32 bits do not hold
+            self._refuse(f"{line.key}: not sayable in ROS")
 
     def _refuse(self, why: str) -> None:
         with self._lock:

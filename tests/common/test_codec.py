@@ -192,6 +192,8 @@ def test_a_million_tracks_are_refused() -> None:
         ({"dtype": "O", "shape": [5], "data": b"123"}, "dtype 'O'"),
         ({"dtype": "<f4", "shape": [2**40, 2**40], "data": b""}, "needs"),
         ({"dtype": "<f4", "shape": [-1], "data": b""}, ">= 0"),
+        ({"dtype": "<f4", "shape": [0, 2**62], "data": b""}, "is no shape"),
+        ({"dtype": "<f4", "shape": [2**64 - 1, 0], "data": b""}, "is no shape"),
         ({"dtype": "<f4", "shape": [6], "data": bytes(24)}, "expected shape"),
         ({"dtype": "<f4", "shape": [1, 5], "data": bytes(20)}, "expected shape"),
         ([1.0, 2.0], "Expected `object`"),

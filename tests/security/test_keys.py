@@ -74,6 +74,20 @@ def test_a_revoked_name_that_is_issued_again_gets_a_new_common_name(folder: Path
     assert read_names(folder).names["pi0"].revoked == ("pi0", "pi0.2")
 
 
+@pytest.mark.parametrize("name", ["ca", "pi0.2", "../laptop1", "a/b", "..", ".hidden", "", "two words", "x" * 61])
+def test_a_name_that_would_take_the_place_of_something_else_is_refused(folder: Path, name: str) -> None:
+    """``ca`` has the authority's files, ``pi0.2`` is what pi0 is called once it was revoked and issued again."""
+    before = {path: path.read_bytes() for path in folder.parent.rglob("*") if path.is_file()}
+    with pytest.raises(ConfigError, match="expected a name of"):
+        authority.issue(folder, name, "laptop")
+    assert {path: path.read_bytes() for path in folder.parent.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize("name", ["laptop1", "anna-s.laptop", "Anna_2", "x" * 60])
+def test_other_names_are_taken(folder: Path, name: str) -> None:
+    assert authority.issue(folder, name, "laptop").name == f"{name}.crt"
+
+
 def test_a_renewal_keeps_the_common_name(folder: Path) -> None:
     authority.issue(folder, "pi0", "host")
     authority.issue(folder, "pi0", "host")

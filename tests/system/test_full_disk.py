@@ -29,7 +29,7 @@ from services.infra_lidar.calibration.plane_fit import Calibration
 from services.infra_lidar.calibration.store import Store
 from services.infra_lidar.segmentation.background import BackgroundModel
 from services.jetson.fusion.evidence import FusionMemory
-from services.jetson.fusion.store import Saved
+from services.jetson.fusion.store import Saved, this_boot
 from services.jetson.fusion.store import Store as FusionStore
 
 ARRAYS = {"intervals_m": np.zeros((1, 4, 128), np.float32), "is_road": np.zeros(128, bool)}
@@ -119,7 +119,8 @@ def test_a_full_disk_below_the_state_folder_is_in_the_log_once(
 def test_alarms_that_cannot_be_kept_are_in_the_log_once_and_kept_again_afterwards(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    store, saved = FusionStore(str(tmp_path), "spotter", "jetson0"), Saved(1, 1.0, 0.0, FusionMemory())
+    store = FusionStore(str(tmp_path), "spotter", "jetson0")
+    saved = Saved(1, 1.0, 0.0, FusionMemory(), boot=this_boot())
     file_size_limit(os.getpid(), 10)
     try:
         for _ in range(3):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import deque
 from dataclasses import dataclass
@@ -11,6 +12,8 @@ import msgspec
 
 from common.codec import to_builtins
 from common.messages import CompressedImage, Message, SystemHealth, Verdict
+
+log = logging.getLogger("dashboard")
 
 HISTORY = 300
 PICTURES = 16  # of each camera: a picture is asked for after its message was seen, over a slow link seconds later
@@ -42,6 +45,7 @@ class Board:
         self._healths: deque[dict[str, Any]] = deque(maxlen=HISTORY)
         self._states: dict[str, tuple[str, str]] = {}
         self._pictures: dict[str, deque[CompressedImage]] = {}
+        self._not_shown: set[str] = set()  # keys of which that is in the log
 
     def put(self, key: str, message: Message, arrived_s: float) -> None:
         """Hang up a message; changes of verdict and of sensor states go into the histories."""
@@ -70,15 +74,28 @@ class Board:
         """JSON with the newest messages of these products (``"*"`` = all but pictures) and their ages in ms."""
         with self._lock:
             entries = {
-                key: {"age_ms": round(1e3 * (now_s - entry.arrived_s), 1), "message": self._content(key, entry)}
+                key: {"age_ms": round(1e3 * (now_s - entry.arrived_s), 1), "message": content}
                 for key, entry in self._entries.items()
-                if "*" in products
-                or key.split("/", 1)[1] in products
-                or key.endswith(("/status", "/health", "/verdict"))
+                if (
+                    "*" in products
+                    or key.split("/", 1)[1] in products
+                    or key.endswith(("/status", "/health", "/verdict"))
+                )
+                and (content := self._content_or_none(key, entry)) is not None
             }
             return _ENCODER.encode(
                 {"entries": entries, "verdicts": list(self._verdicts)[-100:], "healths": list(self._healths)[-100:]}
             )
+
+    def _content_or_none(self, key: str, entry: Entry) -> msgspec.Raw | None:
+        """None where a free-form field holds what JSON has no word for: the page then lacks this message alone."""
+        try:
+            return self._content(key, entry)
+        except (TypeError, ValueError, RuntimeError) as error:
+            if key not in self._not_shown:
+                self._not_shown.add(key)
+                log.warning("%s cannot be shown as JSON: %s", key, error)
+            return None
 
     def _content(self, key: str, entry: Entry) -> msgspec.Raw:
         """A picture is fetched on its own, at its address; what is written in it is here.

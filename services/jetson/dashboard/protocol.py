@@ -15,7 +15,7 @@ END_OF_HEADERS = b"\r\n\r\n"
 
 
 class ImpatientProtocol(H11Protocol):
-    """As uvicorn's own, closed when the first request is not complete after ``request_within_s``."""
+    """As uvicorn's own, closed when a request is not complete ``request_within_s`` after it could begin, or began."""
 
     def __init__(self, *arguments: Any, request_within_s: float, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
@@ -24,9 +24,15 @@ class ImpatientProtocol(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        self._deadline = asyncio.get_running_loop().call_later(self._request_within_s, transport.close)
+        self._set_deadline()
+
+    def _set_deadline(self) -> None:
+        self._beginning = b""
+        self._deadline = asyncio.get_running_loop().call_later(self._request_within_s, self.transport.close)
 
     def data_received(self, data: bytes) -> None:
+        if self._deadline.cancelled() and self.cycle is not None and self.cycle.response_complete:
+            self._set_deadline()  # another request begins: from now on uvicorn itself waits for ever
         if not self._deadline.cancelled():
             self._beginning = (self._beginning + data)[-(len(END_OF_HEADERS) - 1 + len(data)) :]
             if END_OF_HEADERS in self._beginning:

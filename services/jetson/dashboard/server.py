@@ -53,7 +53,7 @@ def parse_wish(text: str, max_rate_hz: float) -> Wish:
         asked = json.loads(text)
         rate_hz = float(asked.get("rate_hz", 5.0))
         products = frozenset(str(name) for name in asked.get("products", ["*"])[:50])
-    except (ValueError, TypeError, AttributeError, KeyError):
+    except (ValueError, TypeError, AttributeError, KeyError, OverflowError, RecursionError):
         return Wish()
     if not rate_hz > 0:
         rate_hz = 5.0

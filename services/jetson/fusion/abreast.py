@@ -79,7 +79,7 @@ class AbreastWatch:
         free_m = _free_m(cover, path) + self._config.front_m - radar.x_m
         may_be = [track for track in alarms if track.beside_m is not None and track.range_m + FARTHER_M <= free_m]
         now_ns = seen.radar.stamp_ns
-        self._shown_ns = {key: at_ns for key, at_ns in self._shown_ns.items() if now_ns - at_ns <= SHOWN_S * 1e9}
+        self._shown_ns = {key: at_ns for key, at_ns in self._shown_ns.items() if 0 <= now_ns - at_ns <= SHOWN_S * 1e9}
         beside = [track for track in may_be if _is_far_beside(track, path) or _is_between(track, flanks)]
         self._shown_ns |= {track.track_id: now_ns for track in beside}
         aside = [track for track in may_be if track.track_id in self._shown_ns]

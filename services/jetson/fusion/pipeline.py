@@ -104,7 +104,7 @@ class FusionPipeline:
             return
         saved = resumed(self._saved, seen.now_s, seen.now_ns)
         self._memory = saved.memory
-        if not 0 <= seen.now_ns - self._saved.now_ns <= RESUME_S * 1e9:
+        if not 0.0 <= self._saved.gap_s(seen.now_s, seen.now_ns) <= RESUME_S:
             return
         self._begun_s = saved.begun_s
         self._reported = frozenset(name for name, habit in saved.sensors.items() if habit.reported)

@@ -1,7 +1,8 @@
 """What fusion remembers, on disk: claims outlive the process that made them, for as long as they would have lived.
 
 Times in the memory are monotonic, and that clock begins anew with the machine. The file says how old each of them was
-when it was written, and when that was in UTC.
+when it was written, when that was in UTC, and which start of the machine it was: while it has run on, its monotonic
+clock tells how long ago, whatever UTC was set to.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from services.jetson.fusion.recovery import Habit
 
 log = logging.getLogger(__name__)
 
+BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 PERIOD_S = 1.0  # at least so often, so that the file's age is the length of the gap
 
 
@@ -32,6 +34,13 @@ class Saved(msgspec.Struct, frozen=True):
     begun_s: float  # when start-up began
     memory: FusionMemory
     sensors: dict[str, Habit] = {}
+    boot: str = ""  # the start of the machine since which now_s counts; empty = not the one of now, or unknown
+
+    def gap_s(self, now_s: float, now_ns: int) -> float:
+        """How long ago that was; negative where only UTC tells, and it was set back."""
+        if self.boot:
+            return now_s - self.now_s
+        return (now_ns - self.now_ns) * 1e-9
 
 
 def shifted(memory: FusionMemory, by_s: float) -> FusionMemory:
@@ -51,13 +60,20 @@ def shifted(memory: FusionMemory, by_s: float) -> FusionMemory:
 
 def resumed(saved: Saved, now_s: float, now_ns: int) -> Saved:
     """The same on the monotonic clock of now. A file from the future is of now."""
-    gap_s = max(0.0, (now_ns - saved.now_ns) * 1e-9)
-    by_s = now_s - gap_s - saved.now_s
+    by_s = now_s - max(0.0, saved.gap_s(now_s, now_ns)) - saved.now_s
     sensors = {
         name: msgspec.structs.replace(one, faults_s=tuple(begun_s + by_s for begun_s in one.faults_s))
         for name, one in saved.sensors.items()
     }
-    return Saved(now_ns, now_s, saved.begun_s + by_s, shifted(saved.memory, by_s), sensors)
+    return Saved(now_ns, now_s, saved.begun_s + by_s, shifted(saved.memory, by_s), sensors, saved.boot)
+
+
+def this_boot() -> str:
+    """The kernel's name for this start of the machine; empty where it has none."""
+    try:
+        return BOOT_ID.read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError):
+        return ""
 
 
 class Store:
@@ -69,6 +85,7 @@ class Store:
     def __init__(self, folder: str, namespace: str, host: str) -> None:
         file = f"{namespace.replace('/', '.')}.{host}.json"
         self._path = Path(folder).expanduser() / file if folder else None
+        self._boot = this_boot()
         self._due = Periodic(PERIOD_S)
         self._kept: object = None
         self._next: Saved | None = None
@@ -82,7 +99,8 @@ class Store:
         if self._path is None or not self._path.exists():
             return None
         try:
-            return msgspec.json.decode(self._path.read_bytes(), type=Saved)
+            saved = msgspec.json.decode(self._path.read_bytes(), type=Saved)
+            return saved if saved.boot == self._boot else msgspec.structs.replace(saved, boot="")
         except (OSError, msgspec.MsgspecError) as error:
             log.warning("%s is damaged, or of another version, and does not count: %s", self._path, error)
             return None
@@ -110,7 +128,7 @@ class Store:
         part = self._path.with_suffix(f".{os.getpid()}.tmp")  # a swap runs two of us for a moment
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            part.write_bytes(msgspec.json.encode(saved))
+            part.write_bytes(msgspec.json.encode(msgspec.structs.replace(saved, boot=self._boot)))
             part.replace(self._path)
         except OSError as error:
             with contextlib.suppress(OSError):

@@ -22,6 +22,7 @@ class Fusion:
     summary: str = "ALL VEHICLE SENSORS ONLINE"
     sensor_state: str = "online"
     silent: bool = False
+    tells_health: bool = True
     blind: bool = False
     because: str = "LiDAR CAUTION at 0.61 m"
     source_kind: str = "live"
@@ -34,7 +35,8 @@ class Fusion:
             while not self.stop.wait(0.05):
                 if not self.silent:
                     put_verdict(self.verdict())
-                    put_health(self.health())
+                    if self.tells_health:
+                        put_health(self.health())
 
     def verdict(self) -> Verdict:
         contribution = VerdictInput(

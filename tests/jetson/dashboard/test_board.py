@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 
+import msgspec
+import pytest
+
 from common.messages import CompressedImage, SensorHealth, SystemHealth, Verdict
 from services.jetson.dashboard.board import HISTORY, PICTURES, Board
 from services.jetson.dashboard.server import Wish, parse_wish
@@ -79,8 +82,32 @@ def test_a_client_gets_what_it_asked_for_and_always_the_verdict() -> None:
     assert set(json.loads(board.snapshot(0.0, {"radar/tracks"}))["entries"]) == {"jetson0/fusion/verdict"}
 
 
+def test_a_message_that_is_no_json_costs_nobody_the_others(caplog: pytest.LogCaptureFixture) -> None:
+    """Some fields are free-form: msgpack has keys and types that JSON has not."""
+    board = Board()
+    board.put("jetson0/fusion/health", health("online"), 0.0)
+    for odd in ({(1,): 1}, {"a": msgspec.msgpack.Ext(5, b"")}, {None: 1}):
+        message = verdict()
+        message.deciding = {"odd": odd}
+        board.put("jetson0/fusion/verdict", message, 0.0)
+        assert set(json.loads(board.snapshot(0.0, {"*"}))["entries"]) == {"jetson0/fusion/health"}
+    assert [record.getMessage()[:50] for record in caplog.records] == [
+        "jetson0/fusion/verdict cannot be shown as JSON: On"
+    ]
+
+
 def test_wishes_are_bounded_and_nonsense_is_the_default() -> None:
     assert parse_wish('{"rate_hz": 1000, "products": ["a"]}', 20.0) == Wish(20.0, frozenset({"a"}))
     assert parse_wish('{"rate_hz": 0.001}', 20.0).rate_hz == 0.1
-    for nonsense in ("", "[]", "3", '{"rate_hz": "x"}', '{"rate_hz": NaN}', '{"products": 3}', "\u0000"):
+    for nonsense in (
+        "",
+        "[]",
+        "3",
+        '{"rate_hz": "x"}',
+        '{"rate_hz": NaN}',
+        '{"products": 3}',
+        "\u0000",
+        '{"rate_hz": 1%s}' % ("0" * 400),
+        "[" * 100_000,
+    ):
         assert parse_wish(nonsense, 20.0).rate_hz == 5.0, nonsense

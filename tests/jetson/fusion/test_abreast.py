@@ -137,6 +137,14 @@ def test_a_scan_that_misses_a_post_ends_it_after_half_a_second() -> None:
         assert (watch.set_aside(Dated(told, 0.05, lidar(), 0.05), DRIVING) is None) == counts
 
 
+def test_what_was_beside_before_the_radars_clock_went_back_counts_again() -> None:
+    """Set back by an hour or restarted with a clock that is behind: another thing has the number of the first one."""
+    watch = AbreastWatch(PATH)
+    assert watch.set_aside(Dated(radar(track()), 0.05, lidar(*GATE), 0.05), DRIVING) is not None
+    told = radar(track(), stamp_ns=10**18 - 3600 * 10**9)
+    assert watch.set_aside(Dated(told, 0.05, lidar(), 0.05), DRIVING) is None
+
+
 def test_a_caution_beyond_the_lidars_reach_waits_only_while_a_stop_needs_less() -> None:
     beyond = track("CAUTION", range_m=9.0)
     assert left_over(radar(beyond), lidar()) == Abreast("SAFE", (), "CAUTION", 9.0)

@@ -20,7 +20,8 @@ from common.messages import ClockHealth
 from spotter_tools.cli.__main__ import app
 from spotter_tools.cli.connect import bus
 from spotter_tools.cli.fusion_view import FusionWatch, quantile
-from spotter_tools.cli.system_view import Observer, Overview
+from spotter_tools.cli.system_view import Observer, Overview, ServiceView
+from spotter_tools.cli.top import bar_lines
 
 pytestmark = pytest.mark.patient
 
@@ -89,6 +90,30 @@ def test_a_service_that_went_away_is_said_to_be_gone(zenoh_config: ZenohConfig, 
     assert (radar.state, radar.reason) == ("disconnected", "the process is gone")
 
 
+def test_a_service_that_hangs_is_not_shown_as_it_last_was(
+    zenoh_config: ZenohConfig, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its token stays up, as that of a process whose interpreter stands still."""
+    monkeypatch.setattr("spotter_tools.cli.system_view.STATUS_AGE_LIMIT_S", 0.3)
+    with bus(zenoh_config.connect[0], "spotter") as session, bus(zenoh_config.connect[0], "spotter") as other:
+        observer = Observer(session)
+        token = other.liveliness().declare_token("pi0/radar/alive/a")
+        report = Report("a")
+        report.state("online")
+        word = encode(report.snapshot())
+        until(lambda: other.put("pi0/radar/status", word) or getattr(radar_of(observer), "state", "") == "online")
+        until(lambda: getattr(radar_of(observer), "state", "") == "disconnected")
+        radar = radar_of(observer)
+        token.undeclare()
+        observer.close()
+    assert radar.instances == 1
+    assert radar.reason == "does not answer: no status for 0 s, its process is there"
+
+
+def radar_of(observer: Observer) -> ServiceView:
+    return service_of(observer.overview(), "radar")  # type: ignore[return-value]
+
+
 def test_once_prints_everything_as_text_and_as_json(speaking: str) -> None:
     text = runner.invoke(app, ["top", "--once", "--connect", speaking])
     assert text.exit_code == 0, text.output
@@ -151,10 +176,19 @@ def test_a_sensor_s_wrong_clock_is_no_latency(
         health.clocks["jetson0/lidar"] = ClockHealth(offset_ms=offset_ms, bound_ms=1.0, age_s=0.0, trusted=True)
     verdict.inputs["lidar"].stamp_ns = now_ns + int(offset_ms * 1e6)
     verdict.sent_ns = now_ns + 30_000_000
-    watch.note_health(health)
+    watch.note_health(health, 1.0)
     watch.note_verdict(verdict, 1.0)
     shown = watch.view("jetson0", "", 1.0).sensors["lidar"].latency_p50_ms
     assert shown == (None if latency_ms is None else pytest.approx(latency_ms, abs=0.01))
+
+
+def test_the_health_of_a_fusion_that_is_silent_is_not_shown_as_it_was(speakers: ModuleType) -> None:
+    watch = FusionWatch(0.0)
+    watch.note_health(speakers.health(time.time_ns()), 1.0)
+    assert (watch.view("jetson0", "", 2.9).colour, set(watch.view("jetson0", "", 2.9).sensors)) == ("green", {"lidar"})
+    late = watch.view("jetson0", "", 3.1)
+    assert (late.colour, late.sensors) == ("", {})
+    assert bar_lines(Overview(fusions=[late], services=[], topics=[])) == ["health unknown: fusion does not publish"]
 
 
 def test_quantiles_are_ranks() -> None:

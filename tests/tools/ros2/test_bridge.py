@@ -144,3 +144,24 @@ def test_from_afar_the_ros_machine_s_router_has_to_be_named() -> None:
     said = CliRunner().invoke(app, ["ros2", "--connect", "tls/10.0.0.1:7448"])
     assert said.exit_code == 2
     assert "--ros: give the ROS machine's router" in said.stderr
+
+
+def test_a_message_that_ros_cannot_say_is_counted_and_the_next_one_passes(
+    router_endpoint: str, bridged: Bridge, listen: Callable[[str, str], TopicReader]
+) -> None:
+    """ROS has seconds in 32 bits: a clock that is wrong by decades gives stamps that it has no numbers for."""
+    config = LidarConfig(
+        source="serial:/dev/null", host="car", zenoh=ZenohConfig(namespace=SITE, connect=(router_endpoint,))
+    )
+    with Service("lidar", config) as service:
+        publish = service.publisher(topics.LIDAR_SCAN)
+        publish(scan((1.0, 0.0)))
+        reader = listen("/spotter/car/lidar/scan", LASER_SCAN)
+        next_of(reader, lambda: publish(scan((1.0, 0.0))))
+        late = scan((1.0, 0.0))
+        late.stamp_ns = 2**63
+        publish(late)
+        while reader.next(0.3) is not None:
+            pass
+        assert next_of(reader, lambda: publish(scan((2.0, 0.0)))).ranges[0] == 2.0
+    assert "car/lidar/scan: not sayable in ROS" in bridged.refused

@@ -4,6 +4,7 @@ import { ageWords } from "/static/store.js";
 
 const PICTURE_STALE_MS = 1500;
 const WORDS_STALE_MS = 1000;
+const GIVE_UP_MS = 5000; // a server that vanished answers never, and the next picture would wait for this one
 let picture = document.getElementById("camera");
 const words = document.getElementById("camera-words");
 let asked = "";
@@ -22,7 +23,7 @@ async function show(message) {
   asked = message.address;
   busy = true;
   try {
-    const reply = await fetch(message.address);
+    const reply = await fetch(message.address, { signal: AbortSignal.timeout(GIVE_UP_MS) });
     if (!reply.ok) return; // it is no longer kept: the next one
     const blob = await reply.blob();
     const next = picture.cloneNode(); // with the address of the picture before: replaced before anything loads it again
@@ -34,7 +35,7 @@ async function show(message) {
     picture = next;
     inPicture = describe(message, message.captions);
     say(inPicture);
-  } catch { // the server is away, which the page says elsewhere; or no picture came
+  } catch { // the server is away, which the page says elsewhere; or no picture came in time
   } finally {
     busy = false;
   }

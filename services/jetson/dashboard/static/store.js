@@ -23,23 +23,36 @@ export function newest(product) {
   return best;
 }
 
+// Longer than a large snapshot takes over a slow link. A server without power ends no connection, and we would wait on.
+const GIVE_UP_MS = 10_000;
+
 // One websocket that comes back by itself; it tells the server what this page looks at and how often.
 export function connect(wish) {
   let retryMs = 250;
   let socket = null;
+  let heardMs = 0;
+  const hear = () => { heardMs = performance.now(); };
   const tell = () => {
     if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(wish()));
   };
   const open = () => {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
+    hear();
     socket = new WebSocket(`${scheme}://${location.host}/ws${location.search}`);
     socket.onopen = () => { retryMs = 250; tell(); };
-    socket.onmessage = (event) => take(JSON.parse(event.data));
+    socket.onmessage = (event) => { hear(); take(JSON.parse(event.data)); };
     socket.onclose = () => {
+      hear();
       setTimeout(open, retryMs);
       retryMs = Math.min(2 * retryMs, 2000);
     };
   };
   open();
+  setInterval(() => {
+    if (performance.now() - heardMs < GIVE_UP_MS) return;
+    socket.onopen = socket.onmessage = socket.onclose = null;
+    socket.close();
+    open();
+  }, 1000);
   return tell;
 }

@@ -38,10 +38,10 @@ const ORIGINS = { recorded: "RECORDED DATA", emulated: "EMULATED DEVICE", simula
 export function drawOrigin(health, verdict) {
   const heard = Object.entries(health ? health.message.sensors : {}).filter(([, sensor]) => sensor.age_ms !== null);
   const made = heard.filter(([, sensor]) => sensor.source_kind !== "live").map(([name, sensor]) => `${spoken(name)} ${sensor.source_kind}`);
-  const kinds = Object.keys(ORIGINS).filter((kind) => heard.some(([, sensor]) => sensor.source_kind === kind) || (heard.length && verdict && verdict.message.source_kind === kind));
+  const kinds = Object.keys(ORIGINS).filter((kind) => heard.some(([, sensor]) => sensor.source_kind === kind) || ((heard.length || !health) && verdict && verdict.message.source_kind === kind));
   const kind = kinds.at(-1);
   if (byId("origin").hidden === Boolean(kind)) byId("origin").hidden = !kind;
-  if (kind) setText(byId("origin"), `NOT LIVE, ${ORIGINS[kind]}: ${made.join(", ") || "the motion of the vehicle"}`);
+  if (kind) setText(byId("origin"), `NOT LIVE, ${ORIGINS[kind]}: ${made.join(", ") || (health ? "the motion of the vehicle" : "what the verdict rests on")}`);
 }
 
 export function drawHealth(health, cut) {
