@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 
 import zenoh
 
@@ -83,21 +84,16 @@ class ClockPoller:
         return tuple(taken)
 
     def _poll(self) -> None:
-        while not self._pause.wait(self._period_s):
+        while not self._session.is_closed() and not self._pause.wait(self._period_s):
             for host, name in self._targets:
-                if not self._presence.instances(host, name):
-                    continue
-                try:
-                    sample = ask(self._session, host, name)
-                except zenoh.ZError:
-                    return  # the session is closed
-                if sample is not None:
-                    self._samples.append(sample)
+                if self._presence.instances(host, name):
+                    with suppress(zenoh.ZError):  # closed, or this one question could not be asked
+                        sample = ask(self._session, host, name)
+                        if sample is not None:
+                            self._samples.append(sample)
             absent = {host for host, _ in self._targets if not self._presence.instances(host)} - {self._own_host}
-            try:
+            with suppress(zenoh.ZError):
                 self.link_faults = ask_router(self._session, self._own_host) if absent else {}
-            except zenoh.ZError:
-                return  # the session is closed
 
 
 def ask_router(session: zenoh.Session, own_host: str) -> Mapping[str, LinkFault]:

@@ -61,9 +61,10 @@ class Acknowledgement:
 
     def taken(self) -> bool:
         """Whether somebody has acknowledged since the last call."""
-        given = self._given.is_set()
+        if not self._given.is_set():
+            return False
         self._given.clear()
-        return given
+        return True
 
     def _reply(self, query: zenoh.Query) -> None:
         self._given.set()
