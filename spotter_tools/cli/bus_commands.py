@@ -261,7 +261,7 @@ def _block(verdict: Verdict | None, system: SystemHealth | None, silent_s: float
     if as_json:
         row = {
             "verdict": to_builtins(verdict) if verdict else None,
-            "health": to_builtins(system) if system else None,
+            "health": to_builtins(system) if system and verdict else None,
         }
         return msgspec.json.encode(row).decode()
     lines = [verdict_text(verdict, silent_s), *(reason_lines(verdict) if verdict else [])]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 
@@ -37,6 +38,25 @@ def test_an_unreadable_health_is_one_line_beside_the_verdict(zenoh_config: Zenoh
     assert result.exit_code == 0, result.output
     assert result.output.count("jetson0/fusion/health cannot be read") == 1
     assert "CAUTION -> SLOW" in result.output
+
+
+def test_without_a_verdict_no_health_counts_for_programs_either(zenoh_config: ZenohConfig, speakers: object) -> None:
+    stop, endpoint = threading.Event(), zenoh_config.connect[0]
+
+    def speak() -> None:
+        with bus(endpoint, "spotter") as session:
+            while not stop.wait(0.02):
+                session.put("jetson0/fusion/health", encode(speakers.health(time.time_ns())))  # type: ignore[attr-defined]
+
+    thread = threading.Thread(target=speak)
+    thread.start()
+    try:
+        result = CliRunner().invoke(app, ["health", "--json", "--connect", endpoint])
+    finally:
+        stop.set()
+        thread.join()
+    assert result.exit_code == 1
+    assert json.loads(result.stdout.splitlines()[0]) == {"verdict": None, "health": None}
 
 
 def test_the_verdicts_of_two_vehicles_are_never_mixed(zenoh_config: ZenohConfig, speakers: object) -> None:
