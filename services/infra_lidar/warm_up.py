@@ -53,12 +53,16 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
     background = replace(config.background, learn_s=0.1, min_frames=5)
     kinds = kinds_that_may_come(config.source)
     config = replace(config, calibration=calibration, background=background, T_map_sensor=())
-    with second_compiler():
-        for returns in (image.points, image):
-            segment(config, returns)
-        for kind in kinds:
-            compile_decoder(kind)
-        track_two_people(MultiObjectTracker(config.tracking))
+    if not DONE.exists():
+        with second_compiler():
+            for returns in (image.points, image):
+                segment(config, returns)
+            for kind in kinds:
+                compile_decoder(kind)
+            track_two_people(MultiObjectTracker(config.tracking))
+    for kind in kinds:
+        compile_decoder(kind)
+    track_two_people(MultiObjectTracker(config.tracking))
     for returns in (image.points, image):
         pipeline = InfraLidarPipeline(config)
         for k in FRAMES:
@@ -77,7 +81,7 @@ def second_compiler() -> Iterator[None]:
 
     What it does not compile, for whatever reason, this process does.
     """
-    if DONE.exists() or not KEPT or len(os.sched_getaffinity(0)) < 2:
+    if not KEPT or len(os.sched_getaffinity(0)) < 2:
         yield
         return
     command = [sys.executable, "-m", "services.infra_lidar.warm_up", CLUSTERS]
