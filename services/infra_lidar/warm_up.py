@@ -53,16 +53,13 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
     background = replace(config.background, learn_s=0.1, min_frames=5)
     kinds = kinds_that_may_come(config.source)
     config = replace(config, calibration=calibration, background=background, T_map_sensor=())
-    if not DONE.exists():
-        with second_compiler():
+    with second_compiler() as beside:
+        if beside:  # it does the clusters: here what needs none
             for returns in (image.points, image):
                 segment(config, returns)
-            for kind in kinds:
-                compile_decoder(kind)
-            track_two_people(MultiObjectTracker(config.tracking))
-    for kind in kinds:
-        compile_decoder(kind)
-    track_two_people(MultiObjectTracker(config.tracking))
+        for kind in kinds:
+            compile_decoder(kind)
+        track_two_people(MultiObjectTracker(config.tracking))
     for returns in (image.points, image):
         pipeline = InfraLidarPipeline(config)
         for k in FRAMES:
@@ -76,18 +73,18 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
 
 
 @contextmanager
-def second_compiler() -> Iterator[None]:
+def second_compiler() -> Iterator[bool]:
     """Meanwhile compile clustering and classification in a process of its own, where there is a core for it.
 
-    What it does not compile, for whatever reason, this process does.
+    Gives whether there is one. What it does not compile, for whatever reason, this process does.
     """
-    if not KEPT or len(os.sched_getaffinity(0)) < 2:
-        yield
+    if DONE.exists() or not KEPT or len(os.sched_getaffinity(0)) < 2:
+        yield False
         return
     command = [sys.executable, "-m", "services.infra_lidar.warm_up", CLUSTERS]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        yield
+        yield True
         process.wait()
     finally:
         process.kill()

@@ -84,7 +84,8 @@ def test_the_second_compiler_ends_by_itself_and_is_waited_for(tmp_path: Path, mo
     monkeypatch.setattr(warming.os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(warming, "KEPT", True)
     monkeypatch.setattr(warming, "DONE", tmp_path / "complete")
-    with second_compiler():
+    with second_compiler() as beside:
+        assert beside
         assert started[0].args == [sys.executable, "-m", "services.infra_lidar.warm_up", CLUSTERS]
     assert started[0].returncode == 0
     (tmp_path / "complete").touch()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -24,15 +24,13 @@ async def application(scope: Any, receive: Any, send: Any) -> None:
 
 
 @pytest.fixture(scope="module")
-def port() -> Iterator[int]:
+def port(until: Callable[..., None]) -> Iterator[int]:
     port = free_port()
     config = uvicorn.Config(application, port=port, log_level="error", lifespan="off", http=impatient(WITHIN_S))
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run)
     thread.start()
-    until_s = time.monotonic() + 30
-    while not server.started and time.monotonic() < until_s:
-        time.sleep(0.01)
+    until(lambda: server.started, "the server has started")
     yield port
     server.should_exit = True
     thread.join()
