@@ -77,9 +77,12 @@ class Timed:
 
 def article_table(found: ClusterPoints) -> np.ndarray:
     """(K, len(NAMES)) float32: the article's features, above a road at z = 0."""
-    cheap = tuple(name for name in NAMES if name != SPACING)
-    table = compute_features(found.points, found.offsets, np.zeros(len(found), np.float32), cheap)
-    return np.insert(table, NAMES.index(SPACING), spacing_deviation(found.points, found.offsets), axis=1)
+    at, table = NAMES.index(SPACING), np.empty((len(found), len(NAMES)), np.float32)
+    names, road_z_m = NAMES[:at] + NAMES[at + 1 :], np.zeros(len(found), np.float32)
+    others = compute_features(found.points, found.offsets, road_z_m, names)
+    table[:, :at], table[:, at + 1 :] = others[:, :at], others[:, at:]
+    table[:, at] = spacing_deviation(found.points, found.offsets)
+    return table
 
 
 class ArticleByKernels:

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.article.costly_features import NEIGHBOURS
 from services.infra_lidar.jit import kernel
 
-POINTS_A_CELL = 2.0
+POINTS_A_CELL = 3.0
 LANES = 8  # points that search side by side
 KEPT = NEIGHBOURS + 1  # of the nearest: the point itself is among them
 
@@ -106,20 +106,31 @@ def _search(grid: CellGrid, first: int, reach: int, block: np.ndarray) -> None:
     block ((KEPT + 3) LANES,) float32: the smallest squared distance of each point, the second smallest and so on, then
     x of each, y and z. In one array, at constant places, so that the compiler can vectorise the loop over the points.
     """
+    points, start, (columns, rows, _) = grid.points, grid.start, grid.shape
     block[: KEPT * LANES] = np.inf
     for i in range(LANES):  # the last point stands in for those that are missing
+        at = min(first + i, len(points) - 1)
         for axis in range(3):
-            block[(KEPT + axis) * LANES + i] = grid.points[min(first + i, len(grid.points) - 1), axis]
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
-    for axis in range(3):
-        along = block[(KEPT + axis) * LANES :][:LANES]
-        low[axis] = max(int((along.min() - grid.low[axis]) / grid.size_m) - reach, 0)
-        high[axis] = min(int((along.max() - grid.low[axis]) / grid.size_m) + reach, grid.shape[axis] - 1)
-    for kz in range(low[2], high[2] + 1):
-        for ky in range(low[1], high[1] + 1):
-            row = (kz * grid.shape[1] + ky) * grid.shape[0]
-            for j in range(grid.start[row + low[0]], grid.start[row + high[0] + 1]):  # cells along x lie together
-                _compare(grid.points[j, 0], grid.points[j, 1], grid.points[j, 2], block)
+            block[(KEPT + axis) * LANES + i] = points[at, axis]
+    x_low, x_high = _cells_within(grid, 0, block, reach)
+    y_low, y_high = _cells_within(grid, 1, block, reach)
+    z_low, z_high = _cells_within(grid, 2, block, reach)
+    for kz in range(z_low, z_high + 1):
+        for ky in range(y_low, y_high + 1):
+            row = (kz * rows + ky) * columns
+            for j in range(start[row + x_low], start[row + x_high + 1]):  # cells along x lie together
+                _compare(points[j, 0], points[j, 1], points[j, 2], block)
+
+
+@kernel
+def _cells_within(grid: CellGrid, axis: int, block: np.ndarray, reach: int) -> tuple[int, int]:
+    """First and last cell along an axis within ``reach`` cells of the points of the block."""
+    low = high = block[(KEPT + axis) * LANES]
+    for i in range(1, LANES):
+        along = block[(KEPT + axis) * LANES + i]
+        low, high = min(low, along), max(high, along)
+    first, last = int((low - grid.low[axis]) / grid.size_m), int((high - grid.low[axis]) / grid.size_m)
+    return max(first - reach, 0), min(last + reach, grid.shape[axis] - 1)
 
 
 @kernel

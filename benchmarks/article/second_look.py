@@ -17,6 +17,7 @@ BINS = 29  # along the main axis, between 30 edges
 GAP_SHARE = 0.2  # a bin with less than this share of the mean is a gap
 TRIM_ABOVE_ROAD_M, TRIM_MIN_HEIGHT_M, TRIM_SHARE = 0.25, 0.5, 0.05
 MIN_PIECE_POINTS = 20
+KTH_BINS = 64
 FAR_M = np.float32(1e9)
 
 
@@ -59,18 +60,17 @@ def refined_labels(points: np.ndarray, offsets: np.ndarray, box: np.ndarray, opt
     for k in range(len(box)):
         cluster, mine = points[offsets[k] : offsets[k + 1]], label[offsets[k] : offsets[k + 1]]
         foot_m = _foot_m(cluster[:, 2], box[k]) if options.trim else -FAR_M
-        kept = np.flatnonzero(cluster[:, 2] > foot_m)
-        mine[:] = -1
-        mine[kept] = k
-        count[k] = len(kept)
+        above = _points_above(cluster, foot_m)
+        count[k] = len(above)
+        for i in range(len(cluster)):
+            mine[i] = k if cluster[i, 2] > foot_m else -1
         if count[k] == 0:
             continue
-        above = cluster[kept]
         _extent(above, extent[k])
         if options.split and 150 < count[k] <= 2000 and 1.0 <= extent[k, 5] - extent[k, 2] <= 2.2:
             piece = _split_row(above, total)
             if len(piece) > 0:
-                mine[kept], count[k] = piece, 0
+                mine[mine == k], count[k] = piece, 0
                 for new in range(total, piece.max() + 1):
                     part = above[piece == new]
                     count[new] = len(part)
@@ -79,6 +79,16 @@ def refined_labels(points: np.ndarray, offsets: np.ndarray, box: np.ndarray, opt
     if options.join:
         _join_engulfed(extent[:total], count[:total], label)
     return label
+
+
+@kernel
+def _points_above(points: np.ndarray, foot_m: float) -> np.ndarray:
+    """(n, 3) float32: x, y, z of the points (N, 3 or more) higher than ``foot_m``."""
+    above, n = np.empty((len(points), 3), np.float32), 0
+    for i in range(len(points)):  # no branch depends on a height, so that the processor need not guess
+        above[n, 0], above[n, 1], above[n, 2] = points[i, 0], points[i, 1], points[i, 2]
+        n += points[i, 2] > foot_m
+    return above[:n]
 
 
 @kernel
@@ -91,8 +101,20 @@ def _foot_m(z: np.ndarray, box: np.ndarray) -> float:
 
 @kernel
 def _kth_smallest(values: np.ndarray, k: int) -> float:
-    """The value (n,) with k others before it in rising order."""
-    return np.partition(values, k)[k]
+    """The value (n,) with k others before it in rising order: the values are counted in bins, and one bin is sorted."""
+    n, low, high = len(values), values[0], values[0]
+    for value in values:
+        low, high = min(low, value), max(high, value)
+    per_unit = (KTH_BINS - 1) / (high - low) if high - low > 1e-6 else np.float32(0.0)
+    number, of_value = np.zeros(KTH_BINS, np.int32), np.empty(n, np.int32)
+    for i in range(n):
+        of_value[i] = (values[i] - low) * per_unit
+        number[of_value[i]] += 1
+    b, before = 0, 0
+    while before + number[b] <= k:
+        before += number[b]
+        b += 1
+    return np.sort(values[of_value == b])[k - before]
 
 
 @kernel
@@ -124,18 +146,19 @@ def _split_row(points: np.ndarray, total: int) -> np.ndarray:
 @kernel
 def _main_axis(points: np.ndarray) -> tuple[float, np.ndarray]:
     """Linearity (l1 - l2) / (l1 + l2 + l3) of the points' covariance, and its first eigenvector (3,)."""
-    n = len(points)
-    offset = np.empty((n, 3))
-    for i in range(n):
-        for axis in range(3):
-            offset[i, axis] = points[i, axis] - points[0, axis]
-    for axis in range(3):
-        offset[:, axis] -= offset[:, axis].mean()
-    covariance = np.zeros((3, 3))
-    for i in range(n):
-        for a in range(3):
-            for b in range(3):
-                covariance[a, b] += offset[i, a] * offset[i, b] / n
+    n, x0, y0, z0 = len(points), points[0, 0], points[0, 1], points[0, 2]
+    x = y = z = xx = xy = xz = yy = yz = zz = 0.0
+    for i in range(n):  # about the first point: sums of large coordinates would lose digits
+        a, b, c = points[i, 0] - x0, points[i, 1] - y0, points[i, 2] - z0
+        x, y, z = x + a, y + b, z + c
+        xx, xy, xz = xx + a * a, xy + a * b, xz + a * c
+        yy, yz, zz = yy + b * b, yz + b * c, zz + c * c
+    x, y, z = x / n, y / n, z / n
+    covariance = np.empty((3, 3))
+    covariance[0, 0], covariance[1, 1], covariance[2, 2] = xx / n - x * x, yy / n - y * y, zz / n - z * z
+    covariance[0, 1] = covariance[1, 0] = xy / n - x * y
+    covariance[0, 2] = covariance[2, 0] = xz / n - x * z
+    covariance[1, 2] = covariance[2, 1] = yz / n - y * z
     values, vectors = np.linalg.eigh(covariance)
     return (values[2] - values[1]) / max(values.sum(), 1e-12), vectors[:, 2].copy()
 
