@@ -17,7 +17,7 @@ BINS = 29  # along the main axis, between 30 edges
 GAP_SHARE = 0.2  # a bin with less than this share of the mean is a gap
 TRIM_ABOVE_ROAD_M, TRIM_MIN_HEIGHT_M, TRIM_SHARE = 0.25, 0.5, 0.05
 MIN_PIECE_POINTS = 20
-KTH_BINS = 64
+KTH_BINS = 64  # values are counted in these, and only one of them is sorted
 FAR_M = np.float32(1e9)
 
 
