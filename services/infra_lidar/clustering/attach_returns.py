@@ -40,7 +40,7 @@ def attach_single_returns(foot: np.ndarray, counts: np.ndarray, min_points: int,
 
     foot: (K, COLUMNS) ``footprints``, counts: (K,) points, group: (K,) int32 as by ``merge_fragments``.
     """
-    size, top = np.zeros(len(counts), np.int64), np.zeros(len(counts), np.float32)
+    size, top = np.zeros(len(counts), np.float32), np.zeros(len(counts), np.float32)
     for k in range(len(counts)):
         size[group[k]] += counts[k]
         top[group[k]] = max(top[group[k]], foot[k, TOP])

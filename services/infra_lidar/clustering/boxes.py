@@ -130,20 +130,23 @@ def join_groups(groups: Groups, group: np.ndarray, kept: np.ndarray) -> Groups:
         np.empty((total, 4), np.float32), np.empty(total, np.int32), np.zeros(number + 1, np.int32),
         np.empty((number, 8), np.float32),
     )  # fmt: skip
-    at, to = 0, 0
+    at, to = 0, np.uint32(0)
     for first in range(len(group)):
         if group[first] != first or not kept[first]:
             continue
         k = first
         while k >= 0:
-            n = offsets[k + 1] - offsets[k]
-            out.points[to : to + n] = points[offsets[k] : offsets[k + 1]]
-            out.members[to : to + n] = members[offsets[k] : offsets[k + 1]]
-            to, k = to + n, following[k]
+            for i in range(offsets[k], offsets[k + 1]):
+                out.members[to] = members[i]
+                for column in range(4):
+                    out.points[to, column] = points[i, column]
+                to += np.uint32(1)
+            k = following[k]
         if following[first] >= 0:
             fit_box(out.points[out.offsets[at] : to], out.box[at])
         else:
-            out.box[at] = box[first]
+            for column in range(box.shape[1]):
+                out.box[at, column] = box[first, column]
         at += 1
         out.offsets[at] = to
     return out
@@ -152,11 +155,13 @@ def join_groups(groups: Groups, group: np.ndarray, kept: np.ndarray) -> Groups:
 @kernel
 def keep_groups(groups: Groups, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Points (S, 3) float32, members, offsets and box of the clusters with ``kept`` (K,) bool, as in ``Groups``."""
-    number = np.diff(groups.offsets)[kept]
-    offsets = np.zeros(len(number) + 1, np.int32)
-    for k in range(len(number)):
-        offsets[k + 1] = offsets[k] + number[k]
-    points, members, to = np.empty((offsets[-1], 3), np.float32), np.empty(offsets[-1], np.int32), np.uint32(0)
+    box = groups.box[kept]
+    offsets, at = np.zeros(len(box) + 1, np.int32), 0
+    for k in range(len(kept)):
+        if kept[k]:
+            offsets[at + 1] = offsets[at] + groups.offsets[k + 1] - groups.offsets[k]
+            at += 1
+    points, members, to = np.empty((offsets[at], 3), np.float32), np.empty(offsets[at], np.int32), np.uint32(0)
     for k in range(len(kept)):
         if kept[k]:
             for i in range(groups.offsets[k], groups.offsets[k + 1]):
@@ -164,4 +169,4 @@ def keep_groups(groups: Groups, kept: np.ndarray) -> tuple[np.ndarray, np.ndarra
                 points[to, 0], points[to, 1] = groups.points[i, 0], groups.points[i, 1]
                 points[to, 2] = groups.points[i, 2]
                 to += np.uint32(1)
-    return points, members, offsets, groups.box[kept]
+    return points, members, offsets, box

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from services.infra_lidar.clustering.boxes import Groups, fit_boxes
+from services.infra_lidar.clustering.boxes import Groups, fit_box, group_by_label
 from services.infra_lidar.clustering.grid import CellScale
 from services.infra_lidar.jit import kernel
 
@@ -132,26 +132,26 @@ def _split(points: np.ndarray, members: np.ndarray, heads: np.ndarray, min_point
 
     Writes the number of points of each part to sizes (MAX_HEADS,). Returns the number of parts, 1 = not split.
     """
-    n, nearest, begin = len(points), np.empty(len(points), np.int32), np.zeros(len(heads) + 1, np.int32)
-    for i in range(n):
+    nearest = np.empty(len(points), np.int32)
+    for i in range(len(points)):
         best_m2 = np.float32(np.inf)
         for h in range(len(heads)):
             dx, dy = points[i, 0] - heads[h, 0], points[i, 1] - heads[h, 1]
             if dx * dx + dy * dy < best_m2:
                 best_m2, nearest[i] = dx * dx + dy * dy, h
-        begin[nearest[i] + 1] += 1
-    if begin[1:].min() < min_points:
-        return 1
-    begin = np.cumsum(begin).astype(np.int32)
-    order = np.argsort(nearest, kind="mergesort")
-    parts = points[order]
-    box = fit_boxes(parts, begin)
+    parts = group_by_label(points, members, nearest, len(points))
+    if len(parts.box) < len(heads):
+        return 1  # a head that no point is nearest to
     for h in range(len(heads)):
-        if math.hypot(box[h, 3], box[h, 4]) > PERSON_DIAGONAL_M:
+        small = parts.offsets[h + 1] - parts.offsets[h] < min_points
+        if small or math.hypot(parts.box[h, 3], parts.box[h, 4]) > PERSON_DIAGONAL_M:
             return 1
-    points[:] = parts
-    members[:] = members[order]
-    sizes[: len(heads)] = begin[1:] - begin[:-1]
+    for i in range(len(points)):
+        members[i] = parts.members[i]
+        for column in range(4):
+            points[i, column] = parts.points[i, column]
+    for h in range(len(heads)):
+        sizes[h] = parts.offsets[h + 1] - parts.offsets[h]
     return len(heads)
 
 
@@ -161,13 +161,15 @@ def _with_parts(groups: Groups, sizes: np.ndarray, total: int) -> tuple[Groups, 
     offsets, box = np.zeros(total + 1, np.int32), np.empty((total, 8), np.float32)
     is_part, at = np.zeros(total, np.bool_), 0
     for k in range(len(sizes)):
-        first = at
         for h in range(MAX_HEADS):
-            if sizes[k, h] > 0:
-                offsets[at + 1] = offsets[at] + sizes[k, h]
-                box[at] = groups.box[k]
-                at += 1
-        if at - first > 1:
-            box[first:at] = fit_boxes(groups.points, offsets[first : at + 1])
-            is_part[first:at] = True
+            if sizes[k, h] == 0:
+                break
+            offsets[at + 1] = offsets[at] + sizes[k, h]
+            is_part[at] = sizes[k, 1] > 0
+            if is_part[at]:
+                fit_box(groups.points[offsets[at] : offsets[at + 1]], box[at])
+            else:
+                for column in range(box.shape[1]):
+                    box[at, column] = groups.box[k, column]
+            at += 1
     return Groups(groups.points, groups.members, offsets, box), is_part

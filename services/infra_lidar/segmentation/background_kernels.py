@@ -125,7 +125,7 @@ def build_model(
     cells, rows = grid.columns * grid.rows, grid.rows
     chosen, is_road_user = np.empty((cells, 2), np.int8), np.zeros(cells, np.bool_)
     for c in range(cells):
-        chosen[c] = _background_modes(modes, c, frames, min_share)
+        chosen[c, 0], chosen[c, 1] = _background_modes(modes, c, frames, min_share)
         for m in chosen[c]:
             is_road_user[c] |= m >= 0 and modes.road_user_frames[c, m] > ROAD_USER_SHARE * modes.frames[c, m]
     intervals_m = np.empty((cells, 4), np.float32)
