@@ -21,6 +21,7 @@ from msgspec.structs import replace
 from common.stopwatch import Stopwatch
 from services.infra_lidar.calibration.monitor import CalibrationMonitor
 from services.infra_lidar.classification.classifier import Classifier
+from services.infra_lidar.classification.features import compute_features
 from services.infra_lidar.clustering.clustering import Clustering
 from services.infra_lidar.config import CalibrationConfig, InfraLidarConfig
 from services.infra_lidar.input.models import KINDS, compile_decoder
@@ -39,6 +40,7 @@ FRAMES = (*range(9), 60)  # at 0.1 s each: learning, its end, beyond, and the ne
 PERIOD_NS = 100_000_000
 HEIGHT_M = 4.0  # of the made-up sensor above its road
 BOXES = ((8, 3, 4.2, 1.8, 1.5), (-6, 5, 0.5, 0.5, 1.7), (4, -9, 10, 2.5, 3.0))  # x, y, length, width, height (m)
+POINTS = 400  # in each
 
 
 def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
@@ -54,9 +56,10 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
     kinds = kinds_that_may_come(config.source)
     config = replace(config, calibration=calibration, background=background, T_map_sensor=())
     with second_compiler() as beside:
-        if beside:  # it does the clusters: here what needs none
+        if beside:  # it does the clusters: here all else
             for returns in (image.points, image):
                 segment(config, returns)
+            classify(config)
         for kind in kinds:
             compile_decoder(kind)
         track_two_people(MultiObjectTracker(config.tracking))
@@ -74,7 +77,7 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
 
 @contextmanager
 def second_compiler() -> Iterator[bool]:
-    """Meanwhile compile clustering and classification in a process of its own, where there is a core for it.
+    """Meanwhile compile clustering in a process of its own, where there is a core for it: it takes as long as the rest.
 
     Gives whether there is one. What it does not compile, for whatever reason, this process does.
     """
@@ -125,17 +128,28 @@ def segment(config: InfraLidarConfig, returns: Returns) -> None:
         scene.learn((10 + k) * PERIOD_NS, returns, segmentation, nobody, nobody)
 
 
-def cluster_and_classify(config: InfraLidarConfig) -> None:
-    """Cluster points inside the boxes and classify the clusters."""
+def points_in_boxes() -> np.ndarray:
+    """(M, 3) float32 points inside the boxes, POINTS of each in turn, level frame."""
     rng = np.random.default_rng(7)
-    low, high = (
-        np.array([[x + s * length, y + s * width, (0.5 + s) * height] for x, y, length, width, height in BOXES])
-        for s in (-0.5, 0.5)
-    )
-    xyz = rng.uniform(low, high, (400, len(BOXES), 3)).reshape(-1, 3).astype(np.float32)
+    inside = [
+        rng.uniform((x - length / 2, y - width / 2, 0.0), (x + length / 2, y + width / 2, height), (POINTS, 3))
+        for x, y, length, width, height in BOXES
+    ]
+    return np.concatenate(inside).astype(np.float32)
+
+
+def cluster(config: InfraLidarConfig) -> None:
+    """Cluster points inside the boxes."""
+    xyz = points_in_boxes()
     obstacles = Obstacles(np.column_stack((xyz, xyz[:, 2])), np.arange(len(xyz), dtype=np.int32), np.empty(0, bool))
-    found = Clustering(config.clustering, config.ground.range_max_m).cluster(obstacles)
-    Classifier(config.classifier).extract_and_classify(found, np.zeros(len(found), np.float32))
+    Clustering(config.clustering, config.ground.range_max_m).cluster(obstacles)
+
+
+def classify(config: InfraLidarConfig) -> None:
+    """Classify what lies inside the boxes."""
+    classifier = Classifier(config.classifier)
+    offsets, road_z_m = np.arange(len(BOXES) + 1) * POINTS, np.zeros(len(BOXES), np.float32)
+    classifier.classify(compute_features(points_in_boxes(), offsets, road_z_m, classifier.feature_names))
 
 
 def track_two_people(tracker: MultiObjectTracker) -> None:
@@ -150,7 +164,7 @@ def track_two_people(tracker: MultiObjectTracker) -> None:
 def main() -> None:
     """Compile all kernels for this processor, and those of the simulated sensor; or ``CLUSTERS`` only."""
     if CLUSTERS in sys.argv[1:]:
-        cluster_and_classify(InfraLidarConfig())
+        cluster(InfraLidarConfig())
         return
     from spotter_sim import lidar128
 

@@ -116,8 +116,7 @@ def join_groups(groups: Groups, group: np.ndarray, kept: np.ndarray) -> Groups:
     group: (K,) int32, the smallest index of the clusters that each one is joined with. kept: (K,) bool, by the same
     index, the joined clusters to keep.
     """
-    points, members, offsets, box = groups
-    total, number = 0, 0
+    offsets, total, number = groups.offsets, 0, 0
     for k in range(len(group)):
         total += offsets[k + 1] - offsets[k] if kept[group[k]] else 0
         number += group[k] == k and kept[k]
@@ -136,20 +135,26 @@ def join_groups(groups: Groups, group: np.ndarray, kept: np.ndarray) -> Groups:
             continue
         k = first
         while k >= 0:
-            for i in range(offsets[k], offsets[k + 1]):
-                out.members[to] = members[i]
-                for column in range(4):
-                    out.points[to, column] = points[i, column]
-                to += np.uint32(1)
-            k = following[k]
+            to, k = _append_points(groups, k, out, to), following[k]
         if following[first] >= 0:
             fit_box(out.points[out.offsets[at] : to], out.box[at])
         else:
-            for column in range(box.shape[1]):
-                out.box[at, column] = box[first, column]
+            for column in range(out.box.shape[1]):
+                out.box[at, column] = groups.box[first, column]
         at += 1
         out.offsets[at] = to
     return out
+
+
+@kernel
+def _append_points(groups: Groups, k: int, out: Groups, to: np.uint32) -> np.uint32:
+    """Copy the points of cluster k to the rows of ``out`` from ``to`` on; returns the row after them."""
+    for i in range(groups.offsets[k], groups.offsets[k + 1]):
+        out.members[to] = groups.members[i]
+        for column in range(4):
+            out.points[to, column] = groups.points[i, column]
+        to += np.uint32(1)
+    return to
 
 
 @kernel
