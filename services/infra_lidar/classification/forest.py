@@ -40,9 +40,9 @@ class _Trees(NamedTuple):
 
 @dataclass(frozen=True)
 class Forest:
-    """N nodes of T trees over F features, L kinds of leaves with shares of C classes, B points of calibration each.
+    """N nodes of T trees over F features, L kinds of leaves with values of C classes, B points of calibration each.
 
-    A leaf is its own left and right child.
+    A leaf is its own left and right child. Its values are shares of the classes, or scores if the forest is refined.
     """
 
     feature: np.ndarray  # (N,) int32 column of x
@@ -50,13 +50,14 @@ class Forest:
     left: np.ndarray  # (N,) int32 node
     right: np.ndarray  # (N,) int32 node
     leaf: np.ndarray  # (N,) int32 row of `value`; 0 at an inner node
-    value: np.ndarray  # (L, C) float32 class shares; leaves with equal shares have one row
+    value: np.ndarray  # (L, C) float32; leaves with equal values have one row
     root: np.ndarray  # (T,) int32 first node of each tree
     calibration_x: np.ndarray  # (C, B) float32 forest share, rising
     calibration_y: np.ndarray  # (C, B) float32 measured frequency
     classes: tuple[str, ...]
     features: tuple[str, ...]
     provenance: dict[str, Any]  # what it was trained on, how, and how well it did
+    refined: bool = False  # see ``training/refine.py``
 
     @cached_property
     def _trees(self) -> _Trees:
@@ -66,7 +67,8 @@ class Forest:
         return _Trees(nodes, self.leaf.astype(np.uint32), self.value, self.root.astype(np.uint32))
 
     def shares(self, x: np.ndarray) -> np.ndarray:
-        """(K, F) float32 features to (K, C) float32 mean class shares of the trees (uncalibrated).
+        """(K, F) float32 features to (K, C) float32 class shares (uncalibrated): the mean of the trees' shares, or the
+        softmax of the sum of their scores.
 
         A feature that is not a number counts as 0. Raises ``ValueError`` on another number of columns.
         """
@@ -74,8 +76,11 @@ class Forest:
             raise ValueError(f"features: expected shape (K, {len(self.features)}), got {x.shape}")
         rows = np.where(np.isnan(x), np.float32(0.0), x).astype(np.float32, order="C")
         out = np.zeros((len(rows), self.value.shape[1]), np.float32)
-        _sum_shares(rows, self._trees, out)
-        return out / np.float32(len(self.root))
+        _sum_values(rows, self._trees, out)
+        if not self.refined:
+            return out / np.float32(len(self.root))
+        odds = np.exp(out - out.max(axis=1, keepdims=True))
+        return np.asarray(odds / odds.sum(axis=1, keepdims=True))
 
     def class_probabilities(self, x: np.ndarray) -> np.ndarray:
         """(K, F) features to (K, C) float32 calibrated probabilities, each row sums to 1."""
@@ -84,7 +89,8 @@ class Forest:
     @property
     def digest(self) -> str:
         """SHA-256 over every array, class and feature name."""
-        total = hashlib.sha256(json.dumps([self.classes, self.features]).encode())
+        names = [self.classes, self.features, *(["refined"] if self.refined else [])]
+        total = hashlib.sha256(json.dumps(names).encode())
         for name in _ARRAYS:
             array = getattr(self, name)
             total.update(f"{name} {array.dtype.str} {array.shape}".encode() + array.tobytes())
@@ -99,6 +105,7 @@ class Forest:
         header = {
             "classes": self.classes,
             "features": self.features,
+            "refined": self.refined,
             "provenance": self.provenance,
             "sha256": self.digest,
         }
@@ -124,8 +131,8 @@ def calibrated(shares: np.ndarray, curve_x: np.ndarray, curve_y: np.ndarray) -> 
 
 
 @kernel
-def _sum_shares(x: np.ndarray, trees: _Trees, out: np.ndarray) -> None:
-    """Add the class shares of each tree's leaf to out (K, C).
+def _sum_values(x: np.ndarray, trees: _Trees, out: np.ndarray) -> None:
+    """Add the values of each tree's leaf to out (K, C).
 
     All rows take a step before any takes the next: their steps do not depend on each other, so the processor overlaps
     them. Rows that are at a leaf leave the list of those that walk.
@@ -185,6 +192,7 @@ def _read(path: Path) -> tuple[Forest, str]:
         classes=tuple(header["classes"]),
         features=tuple(header["features"]),
         provenance=dict(header["provenance"]),
+        refined=bool(header.get("refined", False)),
     )
     return forest, header["sha256"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -36,23 +37,25 @@ def train(
     output: Annotated[Path, typer.Option("--output", "-o", help="The model file.")] = Path("forest.npz"),
     scenes: Scenes = 40,
     bodies: Annotated[int, typer.Option("--bodies", min=0, help="Single generated bodies per class besides.")] = 1500,
-    trees: Annotated[int, typer.Option("--trees", min=1)] = 48,
-    leaves: Annotated[int, typer.Option("--leaves", min=2, help="Of a tree, at the most.")] = 1000,
+    trees: Annotated[int | None, typer.Option("--trees", min=1, help="Default: 144; of a folder 48.")] = None,
+    leaves: Annotated[
+        int | None, typer.Option("--leaves", min=2, help="Of a tree, at the most. Default: 80; of a folder 1000.")
+    ] = None,
 ) -> None:
     """Train a forest from labelled clusters, or from generated scenes, and store it as plain arrays."""
     setup_logging("infra_lidar")
     require_train()
-    from services.infra_lidar.training.train import BACKGROUND_WEIGHT, ForestSettings, train_forest, training_set
+    from services.infra_lidar.training.train import GENERATED, ForestSettings, train_forest, training_set
 
     check_output(output, SUFFIX)
     clusters, weight, story = training_set(folder, scenes, bodies, TRAIN_SEED)
     log.info("training on %d clusters", len(clusters))
-    background = 1.0 if folder else BACKGROUND_WEIGHT
-    settings = ForestSettings(trees, max_leaves=leaves, background=background, balanced=bool(folder))
+    usual = ForestSettings() if folder else GENERATED
+    settings = replace(usual, trees=trees or usual.trees, max_leaves=leaves or usual.max_leaves)
     features = "shape" if folder else "spotter"  # clusters in files are centred: they have no distance to the sensor
     forest = train_forest(clusters, features, story, settings, tell=say, weight=weight)
     size = write_forest(forest, output)
-    say(f"{output}: {trees} trees, {len(forest.feature)} nodes, {size}, {forest.digest[:12]}")
+    say(f"{output}: {settings.trees} trees, {len(forest.feature)} nodes, {size}, {forest.digest[:12]}")
 
 
 def evaluate(

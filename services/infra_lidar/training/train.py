@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from sklearn.ensemble import RandomForestClassifier
@@ -25,10 +25,12 @@ from services.infra_lidar.training.clusters import (
 )
 from services.infra_lidar.training.folders import expect_classes, read_part
 from services.infra_lidar.training.held_out import held_out_table
+from services.infra_lidar.training.refine import RefinedForest
 from services.infra_lidar.training.scenes import Steps, scene_clusters
 from services.infra_lidar.training.varied import generated_clusters
 from services.infra_lidar.training.varied_streets import varied_street_clusters
 
+TrainedForest: TypeAlias = RandomForestClassifier | RefinedForest
 BODY_WEIGHT = 0.6  # of a single body against a cluster of a street: bodies are of no street's shares
 BACKGROUND_WEIGHT = 0.5  # whole frames are two thirds background; most of it is subtracted once the scene is learned
 VARIED_SEED = 29_000  # added for streets of varied bodies: no two streets have one plan
@@ -78,9 +80,24 @@ class ForestSettings:
     max_depth: int = 20
     min_leaf: int = 4
     max_leaves: int = 1000
+    refined: bool = False  # see ``refine.py``; then many small trees do better than few large ones
     seed: int = 42
     background: float = 1.0  # weight of background in the calibration
     balanced: bool = True  # classes weigh the same in the trees; the calibration undoes it in the probabilities
+
+    def grow(self, x: np.ndarray, labels: np.ndarray, weight: np.ndarray | None) -> TrainedForest:
+        """A forest fitted to x (K, F), labels (K,) and weight (K,)."""
+        forest = RandomForestClassifier(
+            self.trees, max_depth=self.max_depth, min_samples_leaf=self.min_leaf, max_leaf_nodes=self.max_leaves,
+            class_weight="balanced" if self.balanced else None, random_state=self.seed, n_jobs=1,
+        )  # fmt: skip
+        return (RefinedForest(forest) if self.refined else forest).fit(x, labels, weight)
+
+
+GENERATED = ForestSettings(
+    trees=144, min_leaf=10, max_leaves=80, refined=True, background=BACKGROUND_WEIGHT, balanced=False
+)
+"""For what is learned from generated clusters alone."""
 
 
 def train_forest(
@@ -94,13 +111,8 @@ def train_forest(
     names = FEATURE_SETS[feature_set]
     x = compute_features(clusters.points, clusters.offsets, clusters.ground_z_m, names)
 
-    def fit(rows: np.ndarray) -> RandomForestClassifier:
-        model = RandomForestClassifier(
-            settings.trees, max_depth=settings.max_depth, min_samples_leaf=settings.min_leaf,
-            max_leaf_nodes=settings.max_leaves, class_weight="balanced" if settings.balanced else None,
-            random_state=settings.seed, n_jobs=1,
-        )  # fmt: skip
-        return model.fit(x[rows], clusters.labels[rows], None if weight is None else weight[rows])
+    def fit(rows: np.ndarray) -> TrainedForest:
+        return settings.grow(x[rows], clusters.labels[rows], None if weight is None else weight[rows])
 
     held_out = out_of_group_shares(fit, x, clusters.groups)
     expected = expected_weight(clusters.labels, weight, settings.background)
@@ -110,7 +122,7 @@ def train_forest(
             tell(line)
     counts = {name: int(np.sum(clusters.labels == c)) for c, name in enumerate(CLASSES)}
     made = {"feature_set": feature_set, "clusters": counts, "trees": settings.trees, "forest_seed": settings.seed}
-    made["background_weight"] = settings.background
+    made |= {"background_weight": settings.background, "refined": settings.refined}
     return flatten(fit(np.arange(len(x))), names, curve_x, curve_y, {**provenance, **made})
 
 
@@ -155,11 +167,15 @@ def calibrate(
 
 
 def flatten(
-    model: RandomForestClassifier, names: tuple[str, ...], curve_x: np.ndarray, curve_y: np.ndarray,
+    model: TrainedForest, names: tuple[str, ...], curve_x: np.ndarray, curve_y: np.ndarray,
     provenance: dict[str, Any],
 ) -> Forest:  # fmt: skip
     """The trees of a fitted forest as one set of arrays; curve_x, curve_y (C, B) are its calibration."""
-    parts = [_flatten_tree(estimator.tree_, model.classes_) for estimator in model.estimators_]
+    grown = model.forest if isinstance(model, RefinedForest) else model
+    trees = [estimator.tree_ for estimator in grown.estimators_]
+    refined = isinstance(model, RefinedForest)
+    values = model.scores() if refined else [_shares(tree, grown.classes_) for tree in trees]
+    parts = [_flatten_tree(tree, value) for tree, value in zip(trees, values, strict=True)]
     root = np.cumsum([0, *(len(part["left"]) for part in parts)])[:-1]
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     first = np.repeat(root, [len(part["left"]) for part in parts])
@@ -177,6 +193,7 @@ def flatten(
         classes=CLASSES,
         features=names,
         provenance=provenance,
+        refined=refined,
     )
 
 
@@ -188,19 +205,24 @@ def distinct(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return rows[order], np.argsort(order, kind="stable")[which.ravel()]
 
 
-def _flatten_tree(tree: Any, present: np.ndarray) -> dict[str, np.ndarray]:
-    """The nodes of one scikit-learn tree, (N,) each, and their class shares (N, C); a leaf is its own child."""
-    own, leaves = np.arange(tree.node_count), tree.children_left < 0
+def _shares(tree: Any, present: np.ndarray) -> np.ndarray:
+    """(N, C) class shares in the nodes of one scikit-learn tree; present: (P,) the classes that it knows."""
     shares = np.zeros((tree.node_count, len(CLASSES)))
     counts = tree.value[:, 0]
     shares[:, present] = counts / counts.sum(axis=1, keepdims=True)
+    return shares
+
+
+def _flatten_tree(tree: Any, value: np.ndarray) -> dict[str, np.ndarray]:
+    """The nodes of one scikit-learn tree, (N,) each, and their values (N, C); a leaf is its own child."""
+    own, leaves = np.arange(tree.node_count), tree.children_left < 0
     return {
         "feature": np.where(leaves, 0, tree.feature),
         # sklearn compares a float32 with a float64 threshold (x <= t): rounding t down keeps every decision.
         "threshold": np.where(leaves, np.inf, _round_down(tree.threshold)),
         "left": np.where(leaves, own, tree.children_left),
         "right": np.where(leaves, own, tree.children_right),
-        "value": np.where(leaves[:, None], shares, shares[leaves][0]),  # those of inner nodes are never read
+        "value": np.where(leaves[:, None], value, value[leaves][0]),  # those of inner nodes are never read
     }
 
 

@@ -202,12 +202,12 @@ def test_the_shipped_model_says_where_it_comes_from() -> None:
 def test_the_shipped_model_is_made_with_the_defaults_of_train() -> None:
     pytest.importorskip("sklearn", reason="needs the train extra")
     from services.infra_lidar.training.commands import TRAIN_SEED, train
-    from services.infra_lidar.training.train import BACKGROUND_WEIGHT, BODY_WEIGHT, ForestSettings
+    from services.infra_lidar.training.train import BODY_WEIGHT, GENERATED
 
     forest, default = load_forest(SHIPPED_MODEL), inspect.signature(train).parameters
-    made = {name: default[name].default for name in ("scenes", "bodies", "trees")}
-    made |= {"seed": TRAIN_SEED, "forest_seed": ForestSettings().seed, "feature_set": "spotter"}
-    made |= {"body_weight": BODY_WEIGHT, "background_weight": BACKGROUND_WEIGHT}
+    made = {name: default[name].default for name in ("scenes", "bodies")}
+    made |= {"seed": TRAIN_SEED, "forest_seed": GENERATED.seed, "feature_set": "spotter", "trees": GENERATED.trees}
+    made |= {"body_weight": BODY_WEIGHT, "background_weight": GENERATED.background, "refined": True}
     assert {name: forest.provenance.get(name) for name in made} == made
     assert forest.features == FEATURE_SETS["spotter"]
 

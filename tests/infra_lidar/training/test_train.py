@@ -12,7 +12,7 @@ pytest.importorskip("sklearn", reason="needs the train extra")
 from sklearn.ensemble import RandomForestClassifier
 
 from services.infra_lidar.classification.classes import CLASSES
-from services.infra_lidar.classification.features import ARTICLE_19, compute_features
+from services.infra_lidar.classification.features import ARTICLE_19, FEATURE_SETS, compute_features
 from services.infra_lidar.training.clusters import (
     LabelledClusters,
     collect,
@@ -46,6 +46,34 @@ def test_the_arrays_decide_exactly_as_scikit_learn() -> None:
     shares = forest.shares(fresh)
     np.testing.assert_allclose(shares[:, :4], model.predict_proba(fresh), atol=1e-6)
     assert np.all(shares[:, 4] == 0)  # a class that was not in the training data
+
+
+@pytest.mark.parametrize("present", [(0, 1, 2, 3), (1, 4)])
+def test_a_refined_forest_decides_as_the_regression_over_its_leaves(present: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(0)
+    x = rng.normal(0, 1, (600, 6)).astype(np.float32)
+    kind = (x[:, 0] + x[:, 1] ** 2 > 0.5).astype(int) + 2 * (x[:, 2] > 0)
+    y = np.array(present)[kind % len(present)]
+    settings = ForestSettings(trees=20, max_leaves=12, refined=True, balanced=False)
+    model = settings.grow(x, y, rng.uniform(0.5, 1.0, 600))
+    curve = np.tile(np.linspace(0, 1, 5, dtype=np.float32), (5, 1))
+    forest = flatten(model, ARTICLE_19[:6], curve, curve, {})
+    fresh = rng.normal(0, 2, (500, 6)).astype(np.float32)
+    shares = forest.shares(fresh)
+    np.testing.assert_allclose(shares[:, present], model.predict_proba(fresh), atol=1e-5)
+    absent = [c for c in range(len(CLASSES)) if c not in present]
+    assert np.all(shares[:, absent] == 0)
+
+
+def test_refining_small_trees_makes_them_better(clusters: LabelledClusters) -> None:
+    x = compute_features(clusters.points, clusters.offsets, clusters.ground_z_m, FEATURE_SETS["shape"])
+    fresh = generated_clusters(seed=6, per_class=60)
+    new = compute_features(fresh.points, fresh.offsets, fresh.ground_z_m, FEATURE_SETS["shape"])
+    right = {}
+    for refined in (False, True):
+        model = ForestSettings(trees=60, max_leaves=12, refined=refined, balanced=False).grow(x, clusters.labels, None)
+        right[refined] = np.mean(model.predict_proba(new).argmax(axis=1) == fresh.labels)
+    assert right[True] > right[False]
 
 
 def test_equal_leaves_share_a_row_and_the_frequent_come_first() -> None:
