@@ -43,6 +43,7 @@ EXTRAS_OF = {
     "services/jetson": {"jetson"},
     "services/infra_lidar/input/bags.py": {"infra-lidar", "ros2"},
     "services/infra_lidar/input/las.py": {"infra-lidar", "las"},
+    "services/infra_lidar/training/refine.py": {"infra-lidar", "train"},
     "services/infra_lidar/training/train.py": {"infra-lidar", "train"},
     "services/infra_lidar/training/evaluate.py": {"infra-lidar", "train"},
     "services/infra_lidar/adaptation/site_forest.py": {"infra-lidar", "train"},
