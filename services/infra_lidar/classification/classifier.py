@@ -1,6 +1,7 @@
 """What a cluster is: a calibrated random forest over its features.
 
-The forest that is shipped (``forest.npz`` beside this file) says in its header what it was trained on. Probabilities
+The forest that is shipped (``forest.npz`` beside this file) says in its header what it was trained on; its leaves are
+refined over all trees together (Ren, Cao, Wei and Sun, "Global refinement of random forest", CVPR 2015). Probabilities
 are calibrated per class on scenes the forest had not seen (isotonic regression, Zadrozny & Elkan 2002), so that 0.9
 means nine in ten. A cluster whose best class stays under ``min_confidence`` is called unknown, and is an obstacle all
 the same.
