@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from sklearn.ensemble import RandomForestClassifier
 
 from services.infra_lidar.adaptation.labels import SiteLabels
 from services.infra_lidar.adaptation.recorder import SiteRecord
@@ -17,6 +16,8 @@ from services.infra_lidar.training.clusters import LabelledClusters
 from services.infra_lidar.training.scenes import Steps, scene_clusters
 from services.infra_lidar.training.train import (
     BACKGROUND_WEIGHT,
+    ForestSettings,
+    TrainedForest,
     calibrate,
     expected_weight,
     flatten,
@@ -29,7 +30,8 @@ _GROWN = FEATURE_SETS["spotter"]
 _COLUMNS = [FEATURES.index(name) for name in _GROWN]
 SEED, STREETS, BODIES = 3000, 40, 700  # generated streets from this seed on, twice as many, and bodies per class
 UNSEEN_SEED, UNSEEN_STREETS = 6000, 6  # streets that no forest was grown from: nothing may be forgotten there
-TREES, LEAVES, MIN_LEAF = 48, 1000, 4
+SETTINGS = ForestSettings(seed=SEED, background=BACKGROUND_WEIGHT, balanced=False)
+"""Not refined: with the few clusters of a small site, a refined forest unlearned its clutter less well."""
 GROUP_WEIGHT = 4.0  # clusters of a street that one road user or place of the site is worth, at the most
 FOLDS = 3
 
@@ -69,14 +71,11 @@ def grow(examples: Examples, story: dict[str, Any]) -> Forest:
 
     x = examples.x[:, _COLUMNS]
 
-    def fit(rows: np.ndarray) -> RandomForestClassifier:
-        model = RandomForestClassifier(
-            TREES, max_depth=20, min_samples_leaf=MIN_LEAF, max_leaf_nodes=LEAVES, random_state=SEED, n_jobs=1
-        )
-        return model.fit(x[rows], examples.labels[rows], examples.weight[rows])
+    def fit(rows: np.ndarray) -> TrainedForest:
+        return SETTINGS.grow(x[rows], examples.labels[rows], examples.weight[rows])
 
     shares = out_of_group_shares(fit, x, examples.groups, FOLDS)
-    expected = expected_weight(examples.labels, examples.weight, BACKGROUND_WEIGHT)
+    expected = expected_weight(examples.labels, examples.weight, SETTINGS.background)
     curve_x, curve_y = calibrate(shares, examples.labels, expected)
     return flatten(fit(np.arange(len(x))), _GROWN, curve_x, curve_y, story)
 
