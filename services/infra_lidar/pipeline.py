@@ -21,7 +21,7 @@ from services.infra_lidar.tracking import MultiObjectTracker
 from services.infra_lidar.tracking.detections import detection_records
 
 _IDENTITY = np.eye(4)
-PARKED_LARGE_CONFIDENCE = 0.9  # a large vehicle that stands while the background is learned is believed from here on
+PARKED_LARGE_CONFIDENCE = 0.95  # a large vehicle that stands while the background is learned is believed from here on
 
 
 class InfraLidarPipeline:

@@ -32,7 +32,7 @@ from services.infra_lidar.training.varied_streets import varied_street_clusters
 
 TrainedForest: TypeAlias = RandomForestClassifier | RefinedForest
 BODY_WEIGHT = 0.6  # of a single body against a cluster of a street: bodies are of no street's shares
-BACKGROUND_WEIGHT = 0.5  # whole frames are two thirds background; most of it is subtracted once the scene is learned
+BACKGROUND_WEIGHT = 0.26  # between whole frames, two thirds background, and a learned scene, nearly none of it
 VARIED_SEED = 29_000  # added for streets of varied bodies: no two streets have one plan
 _BACKGROUND = 2  # generated fixtures per body of any class: the street has more kinds of things than of road users
 _FRAMES, _VIEWS = 2, 3  # of a street and of one with varied bodies
