@@ -17,7 +17,7 @@ import numpy as np
 COARSE_M, FINE_M = 0.4, 0.25  # strips for the direction and for the profile
 SEARCHED_POINTS = 3000
 TURNS_DEG = ((6.0, 15), (1.5, 4), (0.4, 4))  # step and number of steps to either side
-MISFIT_M, MAX_LOSS = 0.05, 0.4  # half width of Tukey's weight; a larger loss is no street (streets: 0.1 to 0.3)
+MISFIT_M = 0.05  # half width of Tukey's weight
 STRIP_POINTS, STRIP_ERROR_M, PIECE_COST = 4, 0.006, 14.0  # for the cut; cost in squared errors
 MIN_PIECE_M = 0.7
 KERB_M, VALLEY, VALLEY_M = 0.04, 0.03, 0.025  # least step of a kerb; VALLEY_M where the slope rises by VALLEY: a gutter
@@ -42,17 +42,19 @@ class Piece:
         return self.level_m + self.slope * u_m
 
 
-def find_carriageway(local: np.ndarray) -> np.ndarray | None:
+def find_carriageway(local: np.ndarray, max_loss: float) -> np.ndarray | None:
     """Which points (N, 3) lie on the plane of the carriageway at the foot (0, 0), in a roughly level frame.
 
-    Returns (N,) bool, or None where the ground is no straight street (a junction) or the profile shows neither kerb nor
-    crown line: then all ground is road.
+    max_loss: Tukey's loss of the profile, 0 to 1, from which on the ground is no straight street (a junction).
+
+    Returns (N,) bool, or None where it is no straight street or the profile shows neither kerb nor crown line: then all
+    ground is road.
     """
     low = _lowest(local)
     direction_rad = _direction(local[low])
     across, along = _turned(local, direction_rad)
     strip, height_m, weight, loss = _profile(across[low], along[low], local[low, 2], FINE_M)
-    piece = choose(cut(strip, height_m, weight)) if loss < MAX_LOSS else None
+    piece = choose(cut(strip, height_m, weight)) if loss < max_loss else None
     if piece is None:
         return None
     return low & (across > piece.start_m + EDGE_M) & (across < piece.end_m - EDGE_M)

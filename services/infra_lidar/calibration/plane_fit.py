@@ -5,8 +5,9 @@ one point per voxel, so that a facade beside the pole counts by its area only. A
 the mounting cone; it is scored by the points near it minus those below it, because nothing lies under a road. The best
 one is refitted by iteratively reweighted least squares (Tukey's weight); where the cross section shows kerbs or a crown
 line (``carriageway.py``) only by the carriageway at the foot. Its plane there is the answer. The error is estimated by
-leaving out one direction after another (jackknife over sectors), and grows with the distance of the road that was seen.
-A plane outside the cone that explains twice as much refuses the prior.
+leaving out one direction after another (jackknife over sectors), and grows with the distance of the road that was seen
+and with what a second look from the plane that was found makes of it. A plane outside the cone that explains twice as
+much refuses the prior.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ SCORED_POINTS = 2000  # enough to choose a hypothesis; the refit takes all
 BELOW_COST = 3.0  # how much a point under the plane counts against one on it
 REACHES = (1.0, 1.5, 2.25)  # of the radius: what is tried in turn
 REACH_HEIGHTS = 2.2  # the carriageway is looked for this many heights away at least: 20 m from a mast of 10 m
+LANE_SCALES = (10.0, 2.0, 1.0, 0.5, 0.4)  # of the band in which the carriageway is fitted, one fit after the other
+MAX_LOSS, DOUBTFUL_LOSS = 0.4, 0.45  # more is no street (0.1 to 0.3; recorded open places: 0.46 to 0.58), or may be one
 GROUND_M, GROUND_SLOPE = 0.3, 0.05  # what may be ground beside the rough plane, and more with distance
 CONTRADICTION, MIN_CONTRADICTION_M = 2.0, 1.0  # a plane outside the cone refuses the prior: score ratio, distance
 NEAR_M = 8.0  # at this distance from the foot a point of the road weighs half
@@ -122,18 +125,31 @@ def _calibrate_within(
         return _refusal(plane)
     normal, offset, road = _refit(cloud, *plane, (2.0, 1.0, 0.6, 0.6), config.inlier_m)
     wide = near[distance_m < max(radius_m, REACH_HEIGHTS * offset)]
-    lane = _lane(wide, normal, offset)
+    lane = _lane(wide, normal, offset, MAX_LOSS)
+    if lane is not None:
+        cloud = lane
+        normal, offset, road = _refit(cloud, normal, offset, LANE_SCALES, config.inlier_m)
+    doubt_deg = _doubt_deg(wide, normal, offset, config)
+    return _calibration(cloud[road], normal, offset, doubt_deg, config)
+
+
+def _doubt_deg(wide: np.ndarray, normal: np.ndarray, offset: float, config: CalibrationConfig) -> float:
+    """Angle to the carriageway that a second look finds, from the plane of the first; 0 where it finds none.
+
+    A wide verge can hide the near half of the road from the first look, and a street may be too untidy for one.
+    """
+    lane = _lane(wide, normal, offset, DOUBTFUL_LOSS)
     if lane is None:
-        return _calibration(cloud, road, normal, offset, config)
-    normal, offset, road = _refit(lane, normal, offset, (10.0, 2.0, 1.0, 0.5, 0.4), config.inlier_m)
-    return _calibration(lane, road, normal, offset, config)
+        return 0.0
+    other = _refit(lane, normal, offset, LANE_SCALES, config.inlier_m)[0]
+    return float(np.degrees(np.arccos(np.clip(normal @ other, -1.0, 1.0))))
 
 
-def _lane(wide: np.ndarray, normal: np.ndarray, offset: float) -> np.ndarray | None:
+def _lane(wide: np.ndarray, normal: np.ndarray, offset: float, max_loss: float) -> np.ndarray | None:
     """Points of the carriageway at the foot in the sensor frame, or None where all ground is road."""
     level = wide @ rotation_between(normal, np.array([0.0, 0.0, 1.0])).T + np.array([0.0, 0.0, offset])
     low = np.abs(level[:, 2]) < GROUND_M + GROUND_SLOPE * np.hypot(level[:, 0], level[:, 1])
-    lane = find_carriageway(level[low]) if low.any() else None
+    lane = find_carriageway(level[low], max_loss) if low.any() else None
     return None if lane is None else np.asarray(wide[low][lane])
 
 
@@ -233,16 +249,16 @@ def fit_level_surface(local: np.ndarray, scale_m: float) -> tuple[np.ndarray, np
 
 
 def _calibration(
-    near: np.ndarray, road: np.ndarray, normal: np.ndarray, offset: float, config: CalibrationConfig
+    road: np.ndarray, normal: np.ndarray, offset: float, doubt_deg: float, config: CalibrationConfig
 ) -> Calibration:
     """The calibration with its error; refused where the road is too small or the tilt too uncertain."""
     rotation = rotation_between(normal, np.array([0.0, 0.0, 1.0]))
-    local = near @ rotation.T + np.array([0.0, 0.0, offset])
-    on_road = local[road]
+    on_road = road @ rotation.T + np.array([0.0, 0.0, offset])
     distance_m = np.hypot(on_road[:, 0], on_road[:, 1])
     nearness = 1.0 / (1.0 + (distance_m / NEAR_M) ** 2)
     bend_deg = np.degrees(BEND_PER_M * float(nearness @ distance_m / max(float(nearness.sum()), 1e-9)))
-    error_deg = float(np.hypot(ERROR_FACTOR * _jackknife_deg(on_road, config.inlier_m), bend_deg))
+    fit_deg = ERROR_FACTOR * _jackknife_deg(on_road, config.inlier_m)
+    error_deg = float(np.linalg.norm([fit_deg, bend_deg, doubt_deg]))
     area = len(np.unique(np.floor(on_road[:, :2]).astype(np.int64) @ np.array([1, 4096])))
     refused = ""
     if area < MIN_AREA_CELLS:

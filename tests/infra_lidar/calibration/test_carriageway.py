@@ -62,6 +62,13 @@ def test_random_streets_from_masts_of_3_to_15_m():
     assert sum(outcome.off_deg > outcome.stated_deg for outcome in accepted) <= 1
 
 
+@pytest.mark.parametrize("seed", [1075, 2027, 2101])
+def test_a_verge_that_hides_the_near_half_of_the_road_is_noticed(seed):
+    """Before there was a second look: 3.6, 0.5 and 3.0 degrees off at a stated error of 0.2 to 0.3."""
+    outcome = outcomes(range(seed, seed + 1), rounded)[0]
+    assert outcome.refused or outcome.off_deg < min(0.5, outcome.stated_deg)
+
+
 @pytest.mark.parametrize(("pitch_deg", "roll_deg"), [(-45.0, 0.0), (45.0, 80.0), (-70.0, 0.0)])
 def test_a_prior_with_a_wrong_sign_is_refused_with_expected_and_found(plane_cloud, pitch_deg, roll_deg):
     rng = np.random.default_rng(2)
