@@ -42,22 +42,20 @@ class Piece:
         return self.level_m + self.slope * u_m
 
 
-def find_carriageway(local: np.ndarray, max_loss: float) -> np.ndarray | None:
+def find_carriageway(local: np.ndarray) -> tuple[np.ndarray | None, float]:
     """Which points (N, 3) lie on the plane of the carriageway at the foot (0, 0), in a roughly level frame.
 
-    max_loss: Tukey's loss of the profile, 0 to 1, from which on the ground is no straight street (a junction).
-
-    Returns (N,) bool, or None where it is no straight street or the profile shows neither kerb nor crown line: then all
-    ground is road.
+    Returns (N,) bool, or None where the profile shows neither kerb nor crown line: then all ground is road. And Tukey's
+    loss of the profile, 0 to 1: from about 0.4 on the ground is no straight street (a junction).
     """
     low = _lowest(local)
     direction_rad = _direction(local[low])
     across, along = _turned(local, direction_rad)
     strip, height_m, weight, loss = _profile(across[low], along[low], local[low, 2], FINE_M)
-    piece = choose(cut(strip, height_m, weight)) if loss < max_loss else None
+    piece = choose(cut(strip, height_m, weight))
     if piece is None:
-        return None
-    return low & (across > piece.start_m + EDGE_M) & (across < piece.end_m - EDGE_M)
+        return None, loss
+    return low & (across > piece.start_m + EDGE_M) & (across < piece.end_m - EDGE_M), loss
 
 
 def _lowest(local: np.ndarray) -> np.ndarray:

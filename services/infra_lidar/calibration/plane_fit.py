@@ -125,32 +125,24 @@ def _calibrate_within(
         return _refusal(plane)
     normal, offset, road = _refit(cloud, *plane, (2.0, 1.0, 0.6, 0.6), config.inlier_m)
     wide = near[distance_m < max(radius_m, REACH_HEIGHTS * offset)]
-    lane = _lane(wide, normal, offset, MAX_LOSS)
-    if lane is not None:
+    lane, loss = _lane(wide, normal, offset)
+    if lane is not None and loss < MAX_LOSS:
         cloud = lane
         normal, offset, road = _refit(cloud, normal, offset, LANE_SCALES, config.inlier_m)
-    doubt_deg = _doubt_deg(wide, normal, offset, config)
+        lane, loss = _lane(wide, normal, offset)  # a wide verge can hide the near half of the road from the first look
+    doubt_deg = 0.0
+    if lane is not None and loss < DOUBTFUL_LOSS:
+        other, _, _ = _refit(lane, normal, offset, LANE_SCALES, config.inlier_m)
+        doubt_deg = float(np.degrees(np.arccos(np.clip(normal @ other, -1.0, 1.0))))
     return _calibration(cloud[road], normal, offset, doubt_deg, config)
 
 
-def _doubt_deg(wide: np.ndarray, normal: np.ndarray, offset: float, config: CalibrationConfig) -> float:
-    """Angle to the carriageway that a second look finds, from the plane of the first; 0 where it finds none.
-
-    A wide verge can hide the near half of the road from the first look, and a street may be too untidy for one.
-    """
-    lane = _lane(wide, normal, offset, DOUBTFUL_LOSS)
-    if lane is None:
-        return 0.0
-    other = _refit(lane, normal, offset, LANE_SCALES, config.inlier_m)[0]
-    return float(np.degrees(np.arccos(np.clip(normal @ other, -1.0, 1.0))))
-
-
-def _lane(wide: np.ndarray, normal: np.ndarray, offset: float, max_loss: float) -> np.ndarray | None:
-    """Points of the carriageway at the foot in the sensor frame, or None where all ground is road."""
+def _lane(wide: np.ndarray, normal: np.ndarray, offset: float) -> tuple[np.ndarray | None, float]:
+    """Points of the carriageway at the foot in the sensor frame, None where all ground is road, and the loss."""
     level = wide @ rotation_between(normal, np.array([0.0, 0.0, 1.0])).T + np.array([0.0, 0.0, offset])
     low = np.abs(level[:, 2]) < GROUND_M + GROUND_SLOPE * np.hypot(level[:, 0], level[:, 1])
-    lane = find_carriageway(level[low], max_loss) if low.any() else None
-    return None if lane is None else np.asarray(wide[low][lane])
+    lane, loss = find_carriageway(level[low]) if low.any() else (None, 1.0)
+    return None if lane is None else wide[low][lane], loss
 
 
 def _best_hypothesis(
