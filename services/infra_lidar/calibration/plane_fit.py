@@ -7,7 +7,7 @@ one is refitted by iteratively reweighted least squares (Tukey's weight); where 
 line (``carriageway.py``) only by the carriageway at the foot. Its plane there is the answer. The error is estimated by
 leaving out one direction after another (jackknife over sectors), and grows with the distance of the road that was seen
 and with what a second look from the plane that was found makes of it. A plane outside the cone that explains twice as
-much refuses the prior.
+much refuses the prior. So does one that explains more and is near to the best plane within: the cone cuts its road off.
 """
 
 from __future__ import annotations
@@ -28,9 +28,11 @@ BELOW_COST = 3.0  # how much a point under the plane counts against one on it
 REACHES = (1.0, 1.5, 2.25)  # of the radius: what is tried in turn
 REACH_HEIGHTS = 2.2  # the carriageway is looked for this many heights away at least: 20 m from a mast of 10 m
 LANE_SCALES = (10.0, 2.0, 1.0, 0.5, 0.4)  # of the band in which the carriageway is fitted, one fit after the other
-MAX_LOSS, DOUBTFUL_LOSS = 0.4, 0.45  # more is no street (0.1 to 0.3; recorded open places: 0.46 to 0.58), or may be one
+MAX_LOSS = 0.4  # of a street's profile: streets have 0.1 to 0.3, recorded open places 0.46 to 0.58
+DOUBTFUL_LOSS = 0.45  # up to here it may still be a street: the plane it would give counts to the stated error
 GROUND_M, GROUND_SLOPE = 0.3, 0.05  # what may be ground beside the rough plane, and more with distance
 CONTRADICTION, MIN_CONTRADICTION_M = 2.0, 1.0  # a plane outside the cone refuses the prior: score ratio, distance
+ROAD_LIKE_DEG = 20.0  # so near to the best plane within it is no wall: there explaining more is enough
 NEAR_M = 8.0  # at this distance from the foot a point of the road weighs half
 ERROR_FACTOR = 2.5  # the stated error is this many jackknife errors ...
 BEND_PER_M = 2e-4  # ... and that of a road that bends with a radius of 5 km
@@ -168,14 +170,17 @@ def _best_hypothesis(
     )
     normals, offsets, aside = normals[fits], offsets[fits], aside[fits]
     scores = _scores(near, normals, offsets, config.inlier_m)
+    if not len(scores):
+        return "no plane within the mounting cone"
     within = np.where(aside, -np.inf, scores)
-    outside = np.where(aside, scores, -np.inf)
-    if aside.any() and outside.max() > CONTRADICTION * max(0.0, within.max()):
+    best = int(np.argmax(within))
+    road_like = normals @ normals[best] > np.cos(np.radians(ROAD_LIKE_DEG))
+    outside = np.where(aside, scores / np.where(road_like, 1.0, CONTRADICTION), -np.inf)
+    if outside.max() > max(0.0, within[best]):
         found = _mounting_text(normals[int(outside.argmax())])
         return f"the road was expected {_prior_text(config)}; found at {found}"
-    if not len(within) or not np.isfinite(within.max()):
+    if not np.isfinite(within[best]):
         return "no plane within the mounting cone"
-    best = int(np.argmax(within))
     return normals[best], float(offsets[best])
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -80,6 +82,12 @@ def test_a_prior_with_a_wrong_sign_is_refused_with_expected_and_found(plane_clou
     wrong = Calibrator(CalibrationConfig(prior_pitch_deg=pitch_deg, prior_roll_deg=roll_deg)).add(cloud)
     assert f"prior_pitch_deg = {pitch_deg:g}, prior_roll_deg = {roll_deg:g}" in wrong.refused
     assert "found at pitch 45, roll 0" in wrong.refused.replace("-0", "0")
+
+
+def test_a_wrong_sign_is_noticed_where_the_road_is_just_outside_the_cone():
+    """The true plane is 38 degrees from the prior, 35 are allowed: it was accepted 5.7 degrees off."""
+    outcome = outcomes(range(3192, 3193), partial(rounded, sign=-1.0))[0]
+    assert "found at pitch 20" in outcome.refused
 
 
 def test_a_profile_is_cut_at_kerbs_and_at_the_crown():
