@@ -10,7 +10,7 @@ from pathlib import Path
 
 from common.bus.runtime import Service
 from common.bus.service_app import service_app
-from common.clock import utc_ns
+from common.clock import monotonic_s
 from common.config import config_hash
 from common.recording.services import who_speaks
 from services.blackbox.capsule import HostClock, keep_newest, write_capsule
@@ -32,11 +32,11 @@ def run(config: BlackboxConfig) -> bool:
         service.report.state("online")
         for kept in BusTap(service, config):
             service.report.beat()  # it publishes nothing: going round is all the proof of life there is
-            now_ns = utc_ns()
+            now_s = monotonic_s()
             with contextlib.suppress(queue.Empty):
                 request = server.requests.get_nowait()
-                server.answer(request, pipeline.save(now_ns, request.incident))
-            saved = pipeline.process(now_ns, kept)
+                server.answer(request, pipeline.save(now_s, request.incident))
+            saved = pipeline.process(now_s, kept)
             if saved is not None:
                 spoke = about | who_speaks(service.session, config.host)
                 keep(service, config, saved, spoke, clock.now())

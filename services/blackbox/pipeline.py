@@ -1,4 +1,4 @@
-"""Arrivals in, complete incidents out. No network, no clock: time is that of the arrivals."""
+"""Arrivals in, complete incidents out. No network, no clock: time is that of the arrivals, in monotonic seconds."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ class BlackboxPipeline:
     """Keeps the ring and the open incident; what happens during an open incident's window belongs to it."""
 
     def __init__(self, config: BlackboxConfig) -> None:
-        self._before_ns, self._after_ns = int(config.before_s * 1e9), int(config.after_s * 1e9)
+        self._before_s, self._after_s = config.before_s, config.after_s
         self._ring = Ring(config.before_s + config.after_s + 2.0, int(config.max_mb * 1e6))
         self._trigger = Trigger(config)
         self._triggers: dict[str, Topic] = {
             topic.key(config.fusion_host): topic for topic in (FUSION_VERDICT, FUSION_HEALTH)
         }
-        self._open: tuple[Incident, int] | None = None  # and when it came here
+        self._open: tuple[Incident, float] | None = None  # and when it came here
 
-    def process(self, now_ns: int, kept: Kept | None) -> Saved | None:
+    def process(self, now_s: float, kept: Kept | None) -> Saved | None:
         """Take one arrival (or None: time passes); returns an incident when its window is complete."""
         # Keep it
         if kept is not None:
@@ -40,20 +40,20 @@ class BlackboxPipeline:
         # Is it the beginning of an incident?
         incident = self._look(kept) if kept is not None else None
         if incident is not None and self._open is None:
-            self._open = (incident, now_ns)
+            self._open = (incident, now_s)
 
         # Has the open one's window passed?
-        if self._open is None or now_ns - self._open[1] < self._after_ns:
+        if self._open is None or now_s - self._open[1] < self._after_s:
             return None
-        (incident, at_ns), self._open = self._open, None
-        return Saved(incident, self._ring.window(at_ns - self._before_ns, at_ns + self._after_ns))
+        (incident, at_s), self._open = self._open, None
+        return Saved(incident, self._ring.window(at_s - self._before_s, at_s + self._after_s))
 
-    def save(self, now_ns: int, incident: Incident) -> Incident:
+    def save(self, now_s: float, incident: Incident) -> Incident:
         """A person asks for it. An incident that is open already goes on, with these words added; returns it."""
-        opened, since_ns = self._open or (incident, now_ns)
+        opened, since_s = self._open or (incident, now_s)
         if opened is not incident:
             opened = replace(opened, why=f"{opened.why}; {incident.why}")
-        self._open = (opened, since_ns)
+        self._open = (opened, since_s)
         return opened
 
     def _look(self, kept: Kept) -> Incident | None:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 import zenoh
 
 from common.bus.runtime import Service
-from common.clock import utc_ns
+from common.clock import monotonic_s, utc_ns
 from common.topics import DATA_TOPICS, FUSION_HEALTH, FUSION_VERDICT
 from services.blackbox.config import BlackboxConfig
 from services.blackbox.ring import Kept
@@ -51,7 +51,8 @@ class BusTap:
         try:
             for sample in subscriber:
                 try:
-                    self._queue.put_nowait(Kept(str(sample.key_expr), sample.payload.to_bytes(), utc_ns()))
+                    kept = Kept(str(sample.key_expr), sample.payload.to_bytes(), utc_ns(), monotonic_s())
+                    self._queue.put_nowait(kept)
                 except queue.Full:
                     self._service.report.dropped()
         except zenoh.ZError:

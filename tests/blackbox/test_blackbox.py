@@ -106,32 +106,31 @@ def test_names_are_always_harmless_folders(what: str) -> None:
 def test_the_ring_is_bounded_in_time_and_bytes() -> None:
     ring = Ring(keep_s=5.0, max_bytes=1000)
     for i in range(100):
-        ring.add(Kept("a/b/c", bytes(30), T0 + i * SECOND // 10))
+        ring.add(Kept("a/b/c", bytes(30), T0, i / 10))
     assert ring.size_bytes <= 1000
-    assert ring.window(T0, T0 + 100 * SECOND)[-1].log_ns == T0 + 99 * SECOND // 10
-    ring.add(Kept("a/b/c", bytes(30), T0 + 1000 * SECOND))
+    assert ring.window(0.0, 100.0)[-1].at_s == 9.9
+    ring.add(Kept("a/b/c", bytes(30), T0, 1000.0))
     assert ring.size_bytes == 30
 
 
-def test_the_window_around_the_trigger_is_kept() -> None:
+@pytest.mark.parametrize("set_by_s", [0, -3600, 3600])
+@pytest.mark.parametrize("set_at", [90, 105])
+def test_the_window_around_each_trigger_is_kept_also_where_the_clock_is_set(set_by_s: int, set_at: int) -> None:
     pipeline = BlackboxPipeline(BlackboxConfig(before_s=3.0, after_s=2.0))
-    saved = None
-    for tenth in range(200):
-        now_ns = T0 + tenth * SECOND // 10
-        level = "IMMINENT" if 100 <= tenth < 110 else "SAFE"
-        result = pipeline.process(now_ns, Kept(VERDICT_KEY, encode(verdict(level, now_ns, tenth)), now_ns))
-        saved = saved or result
-    assert saved is not None
-    times_s = [(kept.log_ns - T0) / SECOND for kept in saved.kept]
-    assert (min(times_s), max(times_s)) == (7.0, 12.0)
-    assert len(times_s) == 51
+    saved = []
+    for tenth in range(400):
+        now_ns = T0 + tenth * SECOND // 10 + (set_by_s * SECOND if tenth >= set_at else 0)
+        level = "IMMINENT" if 100 <= tenth < 110 or 300 <= tenth < 310 else "SAFE"
+        kept = Kept(VERDICT_KEY, encode(verdict(level, now_ns, tenth)), now_ns, tenth / 10)
+        saved += [one for one in [pipeline.process(tenth / 10, kept)] if one is not None]
+    times_s = [[kept.at_s for kept in one.kept] for one in saved]
+    assert [(min(times), max(times), len(times)) for times in times_s] == [(7.0, 12.0, 51), (27.0, 32.0, 51)]
 
 
 def test_hostile_trigger_payloads_are_kept_but_trigger_nothing() -> None:
     pipeline = BlackboxPipeline(BlackboxConfig(before_s=1.0, after_s=0.5))
     for tenth in range(50):
-        now_ns = T0 + tenth * SECOND // 10
-        assert pipeline.process(now_ns, Kept(VERDICT_KEY, b"\xc1nonsense", now_ns)) is None
+        assert pipeline.process(tenth / 10, Kept(VERDICT_KEY, b"\xc1nonsense", T0, tenth / 10)) is None
 
 
 def test_capsules_of_three_hosts_line_up_on_fusions_clock(tmp_path: Path) -> None:
@@ -147,12 +146,13 @@ def test_capsules_of_three_hosts_line_up_on_fusions_clock(tmp_path: Path) -> Non
     capsules = {}
     for host, offset_ns in ahead_ns.items():
         kept = [
-            Kept(keys[host], encode(zones), T0 + i * SECOND + offset_ns)
+            Kept(keys[host], encode(zones), T0 + i * SECOND + offset_ns, float(i))
             for i in range(5)
             for zones in [LidarZones(stamp_ns=i, left=zone, centre=zone, right=zone, level="SAFE", raw_level="SAFE")]
         ]
-        shared = [Kept(VERDICT_KEY, encode(verdict("IMMINENT")), T0 + offset_ns)]
-        own_health = [Kept(HEALTH_KEY, encode(health("online", clocks=clocks)), T0 + 1)] if host == "jetson0" else []
+        shared = [Kept(VERDICT_KEY, encode(verdict("IMMINENT")), T0 + offset_ns, 0.0)]
+        told = [Kept(HEALTH_KEY, encode(health("online", clocks=clocks)), T0 + 1, 0.0)]
+        own_health = told if host == "jetson0" else []
         capsules[host] = write_capsule(
             tmp_path / host, host, incident, [*shared, *own_health, *kept], {"spotter": {"version": "x"}}
         )
@@ -169,7 +169,7 @@ def test_capsules_of_three_hosts_line_up_on_fusions_clock(tmp_path: Path) -> Non
 
 def test_a_host_whose_clock_is_unknown_is_merged_as_it_is(tmp_path: Path) -> None:
     incident = Incident("20261119T010000.000Z-imminent", T0, "test")
-    kept = [Kept(VERDICT_KEY, encode(verdict("IMMINENT")), T0)]
+    kept = [Kept(VERDICT_KEY, encode(verdict("IMMINENT")), T0, 0.0)]
     capsules = {"pi0": write_capsule(tmp_path, "pi0", incident, kept, {})}
     applied = merge(capsules, "jetson0", tmp_path / "merged.mcap")
     assert applied["pi0"].offset_s is None
