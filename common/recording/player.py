@@ -12,6 +12,7 @@ import zenoh
 from common.clock import monotonic_s, utc_ns
 from common.codec import DecodeError, decode, encode, encoding_of
 from common.messages import least_live
+from common.recording.elapsed import Elapsed
 from common.recording.reader import Recorded, read
 from common.topics import find_topic, token_key
 
@@ -30,7 +31,10 @@ class Pace:
 
 
 class Player:
-    """Puts recorded messages as they came, with a token for every service that speaks in the recording."""
+    """Puts recorded messages as they came, with a token for every service that speaks in the recording.
+
+    Where a clock was set, or the next recording is of another day, it goes on at once (see ``Elapsed``).
+    """
 
     def __init__(self, session: zenoh.Session, paths: list[Path], pace: Pace) -> None:
         self._session = session
@@ -54,22 +58,24 @@ class Player:
     def _play_once(self, stop: threading.Event, tell: Callable[[float], None]) -> None:
         origin_ns: int | None = None
         started_s, started_ns = monotonic_s(), utc_ns()
-        for recorded in self._recorded():
+        for at_ns, recorded in self._recorded():
             if origin_ns is None:
-                origin_ns = recorded.log_ns
-            into_s = (recorded.log_ns - origin_ns) / 1e9
+                origin_ns = at_ns
+            into_s = (at_ns - origin_ns) / 1e9
             if not self._wait(stop, started_s + into_s / self._pace.rate):
                 return
-            self._put(recorded, started_ns - origin_ns if self._pace.shift else 0, into_s)
+            due_ns = started_ns + int(into_s / self._pace.rate * 1e9)
+            self._put(recorded, due_ns - recorded.log_ns if self._pace.shift else 0)
             tell(into_s + self._pace.seek_s)
 
-    def _recorded(self) -> Iterator[Recorded]:
-        first_ns: int | None = None
+    def _recorded(self) -> Iterator[tuple[int, Recorded]]:
+        """Each message with the ns at which it is due after the first one of all recordings."""
+        elapsed = Elapsed()
         for path in self._paths:
             for recorded in read(path):
-                first_ns = recorded.log_ns if first_ns is None else first_ns
-                if recorded.log_ns >= first_ns + int(self._pace.seek_s * 1e9):
-                    yield recorded
+                at_ns = elapsed.at(recorded.log_ns)
+                if at_ns >= self._pace.seek_s * 1e9:
+                    yield at_ns, recorded
 
     @staticmethod
     def _wait(stop: threading.Event, due_s: float) -> bool:
@@ -78,7 +84,7 @@ class Player:
                 return False
         return not stop.is_set()
 
-    def _put(self, recorded: Recorded, shift_ns: int, into_s: float) -> None:
+    def _put(self, recorded: Recorded, shift_ns: int) -> None:
         topic = find_topic(recorded.key)
         if topic is None:
             return
@@ -89,11 +95,10 @@ class Player:
             return
         message.source_kind = least_live((message.source_kind, "recorded"))
         if shift_ns:
-            # At another rate the stamps keep their distance to the moment at which they are played.
-            late_ns = int(into_s * (1 / self._pace.rate - 1) * 1e9)
+            # At every rate the stamps keep their distance to the moment at which they are played.
             for name in ("stamp_ns", "received_ns", "sent_ns"):
                 if name == "stamp_ns" or getattr(message, name):  # 0 in the others means unknown
-                    setattr(message, name, getattr(message, name) + shift_ns + late_ns)
+                    setattr(message, name, getattr(message, name) + shift_ns)
         self._publisher(recorded.key, encoding_of(topic.message)).put(encode(message))
         self.played += 1
 

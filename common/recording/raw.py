@@ -18,12 +18,12 @@ from common.clock import monotonic_s, utc_ns
 from common.codec import DecodeError, decode
 from common.config import ConfigError
 from common.messages import Motion, RawBytes
+from common.recording.elapsed import Elapsed
 from common.source_url import SourceUrl
 from common.topics import Topic
 
 MCAP_PARAMETERS = ("rate", "loop", "host")
-PERIOD_NS = 100_000_000  # between the last piece and the first one of the next turn, and where the clock was set
-FARTHEST_NS, FARTHEST_BACK_NS = 3600 * 10**9, 10**9  # from one piece to the next; a longer step is of the clock
+PERIOD_NS = 100_000_000  # between the last piece and the first one of the next turn
 
 
 def replayed(url: SourceUrl, topic: Topic, wait: Callable[[float], object] = time.sleep) -> Iterator[RawBytes]:
@@ -33,13 +33,11 @@ def replayed(url: SourceUrl, topic: Topic, wait: Callable[[float], object] = tim
         ConfigError: no such file, not a recording, damaged, or one without raw bytes of this service.
     """
     rate = url.number("rate", 1.0)
-    start_s, start_ns, into_ns = monotonic_s(), utc_ns(), -PERIOD_NS
+    start_s, start_ns, turn_ns, into_ns = monotonic_s(), utc_ns(), 0, 0
     while True:
-        last_ns: int | None = None
+        elapsed = Elapsed()
         for piece in pieces(url, topic):
-            step_ns = PERIOD_NS if last_ns is None else piece.stamp_ns - last_ns
-            into_ns += step_ns if -FARTHEST_BACK_NS <= step_ns <= FARTHEST_NS else PERIOD_NS
-            last_ns = piece.stamp_ns
+            into_ns = turn_ns + elapsed.at(piece.stamp_ns)
             if rate > 0:
                 due_ns = into_ns if rate == 1.0 else round(into_ns / rate)
                 wait(max(0.0, start_s + due_ns * 1e-9 - monotonic_s()))
@@ -47,6 +45,7 @@ def replayed(url: SourceUrl, topic: Topic, wait: Callable[[float], object] = tim
             yield piece
         if not url.flag("loop"):
             return
+        turn_ns = into_ns + PERIOD_NS
 
 
 def pieces(url: SourceUrl, topic: Topic) -> Iterator[RawBytes]:

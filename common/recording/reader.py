@@ -16,6 +16,7 @@ from mcap.stream_reader import StreamReader
 from mcap.summary import Summary as McapSummary
 from zstandard import ZstdError
 
+from common.recording.elapsed import Elapsed
 from common.topics import find_topic
 
 SPOTTER_SCHEMA = "spotter."
@@ -56,11 +57,7 @@ class Summary:
     end_ns: int
     counts: dict[str, int]
     complete: bool  # False: the recorder was killed, the index is missing
-
-    @property
-    def duration_s(self) -> float:
-        """From the first message to the last."""
-        return (self.end_ns - self.start_ns) / 1e9
+    duration_s: float  # from the first message to the last, as if no clock had been set
 
 
 def read(path: Path, start_ns: int | None = None, refused: Counter[str] | None = None) -> Iterator[Recorded]:
@@ -185,14 +182,16 @@ def summarise(path: Path) -> Summary:
         RecordingError: not an MCAP file of ours, or empty.
     """
     counts: dict[str, int] = {}
-    first_ns = last_ns = 0
+    first_ns = last_ns = into_ns = 0
+    elapsed = Elapsed()
     for recorded in read(path):
+        into_ns = elapsed.at(recorded.log_ns)
         counts[recorded.key] = counts.get(recorded.key, 0) + 1
         first_ns = first_ns or recorded.log_ns
         last_ns = max(last_ns, recorded.log_ns)
     if not counts:
         raise RecordingError(f"{path}: holds none of our messages")
-    return Summary(first_ns, last_ns, counts, is_complete(path))
+    return Summary(first_ns, last_ns, counts, is_complete(path), into_ns / 1e9)
 
 
 def _records(path: Path) -> Iterator[McapRecord]:

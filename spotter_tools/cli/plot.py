@@ -79,15 +79,15 @@ def _one_message(session: Any, key: str, timeout_s: float) -> tuple[str, Any]:
 
 def _plot_recording(file: Path, out: Path, start_s: float, end_s: float) -> None:
     from common.codec import DecodeError, decode
+    from common.recording.elapsed import Elapsed
     from common.recording.reader import expected_messages, read
     from common.topics import find_topic
     from spotter_tools.plots.story import Story, plot_story
 
-    story, progress, first_ns, at_s = Story(), Progress(), 0, 0.0
+    story, progress, elapsed, at_s = Story(), Progress(), Elapsed(), -1.0
     of = expected_messages(file)
     for done, recorded in enumerate(read(file)):
-        first_ns = first_ns or recorded.log_ns
-        at_s = (recorded.log_ns - first_ns) / 1e9
+        at_s = elapsed.at(recorded.log_ns) / 1e9
         topic = find_topic(recorded.key)
         if topic is None or at_s < start_s:
             continue
@@ -99,6 +99,6 @@ def _plot_recording(file: Path, out: Path, start_s: float, end_s: float) -> None
         except DecodeError:
             continue
     progress.close()
-    if first_ns and at_s < start_s:
+    if 0.0 <= at_s < start_s:
         raise ValueError(f"{file} is {at_s:.1f} s long; --from {start_s:g} is past its end")
     plot_story(story, f"{file.name}" + (f", from {start_s:g} s" if start_s else ""), out)

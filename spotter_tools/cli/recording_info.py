@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from common.messages import SourceKind
+from common.recording.elapsed import Elapsed
 from common.recording.reader import is_complete, read, read_metadata
 
 
@@ -26,19 +27,20 @@ def describe(path: Path) -> dict[str, Any]:
         RecordingError: not a recording, or a damaged one.
     """
     kinds: dict[str, Counter[str]] = defaultdict(Counter)
-    first_ns = last_ns = 0
+    first_ns = into_ns = 0
+    elapsed = Elapsed()
     for recorded in read(path):
         try:
             kind: str = msgspec.msgpack.decode(recorded.payload, type=_Header).source_kind
         except msgspec.DecodeError:
             kind = "unreadable"
         kinds[recorded.key][kind] += 1
-        first_ns, last_ns = first_ns or recorded.log_ns, max(last_ns, recorded.log_ns)
+        first_ns, into_ns = first_ns or recorded.log_ns, elapsed.at(recorded.log_ns)
     metadata = read_metadata(path)
     return {
         "file": str(path),
         "begin": datetime.fromtimestamp(first_ns / 1e9, UTC).isoformat(timespec="milliseconds") if first_ns else "",
-        "duration_s": round((last_ns - first_ns) / 1e9, 3),
+        "duration_s": round(into_ns / 1e9, 3),
         "complete": is_complete(path),
         "services": {
             name: {key: values[key] for key in ("vehicle", "version", "source", "source_kind") if values.get(key)}

@@ -95,4 +95,4 @@ def _length_s(files: list[Path]) -> float:
         spans = [span_ns(path) for path in files]
     except RecordingError as error:
         fail(str(error))
-    return (max(end for _, end in spans) - min(start for start, _ in spans)) / 1e9 if all(map(any, spans)) else 0.0
+    return sum(end - start for start, end in spans) / 1e9 if all(map(any, spans)) else 0.0

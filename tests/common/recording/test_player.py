@@ -72,6 +72,25 @@ def test_seeking_skips_the_beginning(tmp_path: Path, zenoh_config: ZenohConfig, 
     assert player.played == 4
 
 
+@pytest.mark.parametrize("set_by_s", [-3600, 86_400])
+@pytest.mark.parametrize("files", [1, 2])
+def test_what_comes_after_the_clock_was_set_is_played_in_its_time(
+    tmp_path: Path, zenoh_config: ZenohConfig, add: Add, files: int, set_by_s: int
+) -> None:
+    paths = [tmp_path / f"{number}.mcap" for number in range(files)]
+    for number, path in enumerate(paths):
+        with RecordingFile(path, {}) as file:
+            for i in range(20 * number // files, 20 * (number + 1) // files):
+                log_ns = 10**13 + i * 10**8 + (set_by_s * 10**9 if i >= 10 else 0)
+                add(file, "jetson0/ego/motion", EgoMotion(stamp_ns=log_ns, speed_mps=None, yaw_rate_radps=None), log_ns)
+    told: list[float] = []
+    with open_session(zenoh_config) as session:
+        player = Player(session, paths, Pace(rate=1e6, seek_s=0.35))
+        player.run(threading.Event(), told.append)
+    assert player.played == 16
+    assert told == pytest.approx([0.35 + 0.1 * i for i in range(16)])
+
+
 def test_a_loop_over_nothing_ends(tmp_path: Path, zenoh_config: ZenohConfig, add: Add) -> None:
     path = tmp_path / "a.mcap"
     with RecordingFile(path, {}) as file:

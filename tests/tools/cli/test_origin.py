@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from common.bus.runtime import Service
 from common.codec import encode
 from common.config import ServiceConfig, ZenohConfig
+from common.messages import Verdict
 from common.recording.file import RecordingFile
 from spotter_tools.cli.__main__ import app
 from spotter_tools.cli.render import health_lines, origin_line, verdict_text
@@ -86,6 +87,21 @@ def test_info_of_a_recording_says_what_was_live(tmp_path: Path, speakers: Module
     assert found["services"] == {"pi0/radar": told}
     assert (found["duration_s"], found["complete"]) == (2.0, True)
     assert "simulated: 2" in runner.invoke(app, ["info", str(path)]).stdout
+
+
+@pytest.mark.parametrize("set_by_s", [-3600, 86_400])
+def test_length_and_picture_of_a_recording_in_which_the_clock_was_set(
+    tmp_path: Path, speakers: ModuleType, set_by_s: int
+) -> None:
+    path, picture = tmp_path / "drive.mcap", str(tmp_path / "drive.png")
+    with RecordingFile(path, {}) as file:
+        for i in range(40):
+            log_ns = 10**13 + i * 10**8 + (set_by_s * 10**9 if i >= 20 else 0)
+            file.add("jetson0/fusion/verdict", Verdict, encode(speakers.verdict(log_ns)), log_ns, 0, i)
+    assert json.loads(runner.invoke(app, ["info", str(path), "--json"]).stdout)["duration_s"] == 3.9
+    assert runner.invoke(app, ["plot", str(path), picture, "--from", "3"]).exit_code == 0
+    late = runner.invoke(app, ["plot", str(path), picture, "--from", "5"])
+    assert late.output == f"spotter: {path} is 3.9 s long; --from 5 is past its end\n"
 
 
 def test_info_of_a_recording_that_was_cut_off_says_so(tmp_path: Path, speakers: ModuleType) -> None:
