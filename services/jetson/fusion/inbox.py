@@ -135,7 +135,7 @@ class Inbox:
         """The newest of each service; a word that was said already is not said anew by being repeated."""
         name, new = received.key.removesuffix("/status"), received.message
         last = self.statuses.get(name)
-        if last is None and name not in self._by_service and len(self.statuses) >= MAX_NAMES:
+        if last is None and not self._has_room(name):
             return
         if last is not None and _is_repeated(new, last.message):
             self._count(f"{received.key}: repeated")
@@ -143,6 +143,17 @@ class Inbox:
         clock = self._sender(name, now_s)
         age = Age(received.arrived_s, 0.0) if clock is None else age_of(received, clock)
         self.statuses[name] = DatedStatus(received, age)
+
+    def _has_room(self, name: str) -> bool:
+        """For the status of one more. Of strangers there is a limit, and one that is gone makes room."""
+        expected = self._by_service.keys() | {*self._config.expects}
+        strangers = [one for one in self.statuses if one not in expected]
+        if name in expected or len(strangers) < MAX_NAMES:
+            return True
+        gone = next((one for one in strangers if one not in self.roster.services), None)
+        if gone is not None:
+            del self.statuses[gone]
+        return gone is not None
 
     def _refuse(self, key: str, why: str, now_s: float) -> None:
         self._count(f"{key}: {UNDECODABLE}")

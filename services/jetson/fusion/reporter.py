@@ -102,7 +102,8 @@ class Reporter:
         instances = self._inbox.roster.services
         expected = {f"{watch.host}/{watch.service}" for watch in self._inbox.watches.values()} | {*self._config.expects}
         known = expected | set(self._services) | set(instances)
-        names = expected | set(sorted(known - expected)[:MAX_NAMES])
+        strangers = sorted(known - expected, key=lambda name: (name not in instances, name))
+        names = expected | set(strangers[:MAX_NAMES])  # those that are there first
         self._services = {name: self._judge_service(name, len(instances.get(name, ())), seen) for name in sorted(names)}
         return self._services
 

@@ -8,9 +8,11 @@ from typing import Any
 
 import pytest
 
+from common.bus.status import Report
 from common.codec import DecodeError, decode, encode
 from common.messages import RadarTracks
 from common.topics import ONBOARD_SENSORS, SENSOR_TOPICS
+from services.jetson.fusion.config import FusionConfig
 from services.jetson.fusion.evidence import RANK
 
 
@@ -154,6 +156,25 @@ def test_a_thousand_strangers_fill_no_memory(bench: Any, messages: Any) -> None:
     assert len(bench.health.services) <= 64 + len(SENSOR_TOPICS)
     assert len(bench.health.notes) <= 20
     assert bench.is_in("radar", "online")
+
+
+def test_strangers_that_are_gone_make_room_for_those_that_are_there(new_bench: Any) -> None:
+    """The status of 70 hosts that came and went; before, nobody who came later was heard any more."""
+    bench = new_bench(FusionConfig(expects=("jetson0/gate",)))
+    word = Report("x").snapshot()
+    word.state = "online"
+    for number in range(70):
+        bench.instances.add((f"host{number:02}", "radar", "x"))
+        bench.receive(f"host{number:02}/radar/status", word)
+        bench.tick()
+        bench.instances.discard((f"host{number:02}", "radar", "x"))
+    for service in ("jetson0/gate", "pi9/radar"):
+        bench.instances.add((*service.split("/"), "y"))
+        word.stamp_ns = bench.now_ns
+        bench.receive(f"{service}/status", word)
+    bench.run(0.2)
+    assert [bench.health.services[one].state for one in ("jetson0/gate", "pi9/radar")] == ["online", "online"]
+    assert len(bench.health.services) <= 64 + len(SENSOR_TOPICS) + 1
 
 
 def test_undecodable_payloads_are_named_when_they_leave_a_sensor_without_data(bench: Any) -> None:
