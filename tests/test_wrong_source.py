@@ -15,7 +15,8 @@ SENSORS = {
     "infra_lidar": ("services.infra_lidar", "InfraLidarConfig"),
     "ego": ("services.jetson.ego", "EgoConfig"),
 }
-WRONG = [(sensor, source) for sensor in SENSORS for source in ("", "foo:bar", "sim:crossing?no=1", "mcap:none.mcap")]
+SOURCES = ("", "foo:bar", "sim:crossing?no=1", "sim:nowhere", "mcap:none.mcap")
+WRONG = [(sensor, source) for sensor in SENSORS for source in SOURCES]
 
 
 @pytest.mark.parametrize(("sensor", "source"), [one for one in WRONG if one != ("ego", "mcap:none.mcap")])

@@ -41,7 +41,7 @@ def with_waveform_of_source(config: RadarConfig) -> RadarConfig:
     """The configuration with the waveform that its source really has: that of the recording, or the chip's.
 
     Raises:
-        ConfigError: a wrong source, a missing or broken recording, a waveform that the chip cannot do.
+        ConfigError: a wrong source or scenario, a missing or broken recording, a waveform that the chip cannot do.
     """
     url = parse_source(config.source, SCHEMES)
     if url.scheme == "file":
@@ -50,6 +50,7 @@ def with_waveform_of_source(config: RadarConfig) -> RadarConfig:
         return fitted_as_recorded(config, url, RADAR_RAW)
     if url.scheme == "spi":
         return msgspec.structs.replace(config, waveform=plan(config.waveform).waveform)
+    ScenarioClock(url)  # refuses a scenario that there is not
     return config
 
 

@@ -9,12 +9,12 @@ from common.topics import EGO_MOTION
 from services.jetson.ego.config import EgoConfig
 from services.jetson.ego.look import looks
 from services.jetson.ego.pipeline import EgoPipeline
-from services.jetson.ego.source import open_source, urls_of
+from services.jetson.ego.source import open_source
 
 
 def run(config: EgoConfig) -> bool:
     """Publish the vehicle's motion until the source or the process ends; False if not closed cleanly."""
-    urls_of(config)  # a wrong source stops here, before a router is waited for
+    open_source(config)  # a wrong source stops here, before a router is waited for
     pipeline = EgoPipeline(config)
     with Service("ego", config) as service:
         publish = service.publisher(EGO_MOTION)

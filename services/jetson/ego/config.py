@@ -69,3 +69,8 @@ class EgoConfig(ServiceConfig, frozen=True, kw_only=True):
     vesc: VescConfig = msgspec.field(default_factory=VescConfig)
     can: CanConfig = msgspec.field(default_factory=CanConfig)
     imu: ImuConfig = msgspec.field(default_factory=ImuConfig)
+
+    def check(self) -> None:
+        """Refuse a CAN bus of which nothing is known. Raises ``ValueError``."""
+        if any(part.strip().startswith("can:") for part in self.source.split("+")) and not self.can.dbc:
+            raise ValueError("[can] dbc = '': expected the file with the bus's signals, e.g. dbc = \"car.dbc\"")

@@ -101,6 +101,9 @@ class CanBus:
             import can
         except ImportError:
             raise ConfigError(f"source {url}: library python-can is missing: install the extra vehicle") from None
+        if config.can.interface not in can.VALID_INTERFACES:
+            known = ", ".join(sorted(can.VALID_INTERFACES))
+            raise ConfigError(f"[can] interface = {config.can.interface!r}: python-can has {known}")
         self._can, self._url, self._config = can, url, config.can
         self._signals = CanSignals(config.can)
 

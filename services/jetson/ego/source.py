@@ -36,7 +36,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 2.0
 
 
 def open_source(config: EgoConfig, report: Report | None = None) -> Iterator[tuple[int, Motion]]:
-    """Yield ``(stamp_ns, motion)`` at the configured rate, for ever.
+    """Yield ``(stamp_ns, motion)`` at the configured rate, for ever. Nothing is opened before the first.
 
     Raises:
         ConfigError: no source, an unknown scheme or scenario, or a device that cannot be set up as it is written.

@@ -54,11 +54,16 @@ def open_source(
     """Give ``(stamp_ns, scan)`` as each revolution closes; ``raw`` gets the bytes. Nothing is opened before the first.
 
     Raises:
-        ConfigError: at once for an unknown scheme or parameter or no such file; later for one that cannot be read.
+        ConfigError: at once for an unknown scheme, parameter or scenario or no such file; later for a file that cannot
+            be read.
     """
     url = parse_source(config.source, {name: tuple(params) for name, params in SCHEMES.items()})
     if url.scheme in ("file", "mcap") and not Path(url.target).expanduser().exists():
         raise ConfigError(f"source {url}: no such file")
+    if url.scheme == "sim":
+        from spotter_sim.scenario_clock import ScenarioClock
+
+        ScenarioClock(url)  # refuses a scenario that there is not
     return _ros(url, config, report) if url.scheme == "ros2" else _scans(url, config, report, raw)
 
 

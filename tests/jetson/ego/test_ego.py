@@ -12,7 +12,7 @@ from common.codec import decode, encode
 from common.config import ConfigError, load
 from common.messages import EgoMotion
 from services.jetson.ego import config as ego_config
-from services.jetson.ego.config import EgoConfig
+from services.jetson.ego.config import CanConfig, EgoConfig
 from services.jetson.ego.pipeline import EgoPipeline, Motion
 from services.jetson.ego.source import open_source
 from spotter_sim.world import world_at
@@ -63,3 +63,17 @@ def test_the_simulated_motion_is_that_of_the_world() -> None:
 def test_a_wrong_source_is_refused_by_name(source: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         open_source(EgoConfig(source=source))
+
+
+def test_a_can_bus_without_its_signals_is_refused_with_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "ego.toml"
+    file.write_text('source = "imu:bno055 + can:can0"\n')
+    with pytest.raises(ConfigError, match=r"ego.toml: \[can\] dbc = '': expected the file with the bus's signals"):
+        load(EgoConfig, file)
+
+
+def test_a_can_interface_that_the_library_does_not_have() -> None:
+    pytest.importorskip("can")
+    can = CanConfig(dbc="car.dbc", interface="socketkan")
+    with pytest.raises(ConfigError, match=r"\[can\] interface = 'socketkan': python-can has .*socketcan"):
+        open_source(EgoConfig(source="can:can0", can=can))
