@@ -8,6 +8,8 @@ import msgspec
 import numpy as np
 
 from common.bus.status import Report
+from common.recording.elapsed import Elapsed
+from services.infra_lidar.adaptation.awaited import awaited
 from services.infra_lidar.adaptation.labels import SiteLabels, label_site
 from services.infra_lidar.adaptation.recorder import SiteRecord, SiteRecorder
 from services.infra_lidar.adaptation.site_forest import (
@@ -40,22 +42,21 @@ class Outcome(NamedTuple):
 
 
 def record_site(config: InfraLidarConfig, seconds: float) -> SiteRecord:
-    """Run the pipeline over the source for so long, or until it ends.
+    """Run the pipeline over the source for so long, or until it ends or falls silent.
 
     Nothing is learned as background meanwhile: clutter has to be seen to be learned.
 
     Raises:
-        ValueError: no cluster was seen.
+        ValueError: no frame came, or no cluster was seen.
     """
     whole = msgspec.structs.replace(config.background, enabled=False)
     config = msgspec.structs.replace(config, T_map_sensor=surveyed_pose(config), background=whole)
     pipeline = InfraLidarPipeline(config)
     recorder = SiteRecorder(FEATURES, config.ground.range_max_m)
     warm_up(config, lambda text: None)  # else compiling would be part of the time
-    first_ns: int | None = None
-    for stamp_ns, frame in open_source(config, Report("adapt")):
-        first_ns = stamp_ns if first_ns is None else first_ns
-        if (stamp_ns - first_ns) * 1e-9 > seconds:
+    report, elapsed = Report("adapt"), Elapsed()
+    for stamp_ns, frame in awaited(open_source(config, report), report):
+        if elapsed.at(stamp_ns) * 1e-9 > seconds:
             break
         recorder.add(pipeline.process(stamp_ns, frame.returns, frame.quality), pipeline.tracker.matches)
     return recorder.record()

@@ -12,7 +12,7 @@ from common.bus.service_app import check_output, load_config, setup_logging
 from common.config import ConfigError
 from services.infra_lidar.classification.classes import BACKGROUND, CLASSES
 from services.infra_lidar.classification.classifier import Classifier
-from services.infra_lidar.classification.forest import SUFFIX
+from services.infra_lidar.classification.forest import SUFFIX, load_forest
 from services.infra_lidar.command_line import require_train, say, write_forest
 from services.infra_lidar.config import InfraLidarConfig
 
@@ -44,10 +44,12 @@ def adapt(
         return
     require_train()
     check_output(path, SUFFIX)
+    if path.exists() and not _of_a_site(path):
+        raise ConfigError(f"{path}: is there, and was not made by `spotter-infra-lidar adapt`: choose another file")
     outcome = _learn(config, seconds)
     _refuse(outcome.objections)
     size = write_forest(outcome.forest, path)
-    say(f"accepted: {path}, {size}; undo it with `spotter-infra-lidar adapt --undo`")
+    say(f"accepted: {path}, {size}; undo it with `spotter-infra-lidar adapt --undo -o {path.resolve()}`")
     if config.classifier.site_model != str(path):
         say(f'to use it from the next start on: [classifier] site_model = "{path.resolve()}"')
 
@@ -108,9 +110,12 @@ def _remove(path: Path) -> None:
     """
     if not path.exists():
         raise ConfigError(f"{path}: no forest of a site here: nothing to undo")
-    from services.infra_lidar.classification.forest import load_forest
-
-    if "instead_of" not in load_forest(path).provenance:
+    if not _of_a_site(path):
         raise ConfigError(f"{path}: was not made by `spotter-infra-lidar adapt`: not removed")
     path.unlink()
     say(f"{path} removed: from the next start on the forest before it is used")
+
+
+def _of_a_site(path: Path) -> bool:
+    """Whether ``adapt`` has made this forest."""
+    return "instead_of" in load_forest(path).provenance

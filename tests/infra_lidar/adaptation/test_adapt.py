@@ -1,13 +1,17 @@
 """A made-up site from recording to forest: its barrier, which the forest in use calls a lorry, is unlearned."""
 
+import threading
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 pytest.importorskip("sklearn")
 
+from common.bus.status import Report
 from services.infra_lidar.__main__ import app
 from services.infra_lidar.adaptation.adapt import learn_site, split
+from services.infra_lidar.adaptation.awaited import awaited
 from services.infra_lidar.adaptation.labels import label_site
 from services.infra_lidar.adaptation.recorder import SiteRecord, SiteRecorder, TrackStory
 from services.infra_lidar.adaptation.site_forest import FEATURES, Examples, grow
@@ -100,6 +104,39 @@ def test_the_site_forest_is_used_while_it_is_there_and_undone_with_one_command(i
     assert CliRunner().invoke(app, undo).exit_code == 0
     assert model_path(config) == SHIPPED_MODEL
     assert "nothing to undo" in str(CliRunner().invoke(app, undo).exception)
+
+
+def test_a_forest_that_adapt_has_not_made_is_not_overwritten(in_use, tmp_path):
+    path = tmp_path / "trained.npz"
+    in_use.save(path)
+    refused = CliRunner().invoke(app, ["--source", "file:no_recording", "adapt", "-o", str(path)])
+    assert "was not made by `spotter-infra-lidar adapt`: choose another file" in str(refused.exception)
+
+
+def _frames(count, ended):
+    yield from range(count)
+    ended.wait(20.0)
+
+
+def test_a_source_that_falls_silent_is_not_waited_for():
+    ended, report = threading.Event(), Report("adapt")
+    report.state("disconnected", "no packets on UDP port 2368")
+    with pytest.raises(ValueError, match="no packets on UDP port 2368"):
+        list(awaited(_frames(0, ended), report, 0.1))
+    assert list(awaited(_frames(3, ended), report, 0.1)) == [0, 1, 2]
+    ended.set()
+    assert list(awaited(_frames(3, ended), report)) == [0, 1, 2]
+
+
+def test_what_a_source_raises_is_raised_where_its_frames_are_taken():
+    def damaged():
+        yield 1
+        raise ValueError("cut off")
+
+    frames = awaited(damaged(), Report("adapt"))
+    assert next(frames) == 1
+    with pytest.raises(ValueError, match="cut off"):
+        next(frames)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,60 @@
+"""A source that may fall silent, read so that nobody waits for it for ever."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from collections.abc import Iterator
+from typing import NamedTuple, TypeVar
+
+from common.bus.status import Report
+
+log = logging.getLogger(__name__)
+
+T = TypeVar("T")
+
+PATIENCE_S = 20.0  # without a frame: then the source is silent
+
+
+class _End(NamedTuple):
+    error: Exception | None
+
+
+def awaited(frames: Iterator[T], report: Report, patience_s: float = PATIENCE_S) -> Iterator[T]:
+    """The frames, read in a thread of their own; ends where none comes for ``patience_s``.
+
+    report: what the source tells of itself.
+
+    Raises:
+        ValueError: not one came; the text is what the source said.
+        Exception: what the source raises.
+    """
+    arrived: queue.Queue[T | _End] = queue.Queue(1)  # a file is read no faster than its frames are taken
+
+    def read() -> None:
+        error: Exception | None = None
+        try:
+            for frame in frames:
+                arrived.put(frame)
+        except Exception as raised:  # noqa: BLE001  raised again where the frames are taken
+            error = raised
+        arrived.put(_End(error))
+
+    threading.Thread(target=read, name="frames", daemon=True).start()
+    count = 0
+    while True:
+        try:
+            item = arrived.get(timeout=patience_s)
+        except queue.Empty:
+            why = report.snapshot().reason or "no frame came"
+            if not count:
+                raise ValueError(why) from None
+            log.warning("no frame for %g s, going on with the %d before: %s", patience_s, count, why)
+            return
+        if isinstance(item, _End):
+            if item.error is not None:
+                raise item.error
+            return
+        count += 1
+        yield item
