@@ -34,7 +34,7 @@ def topic_name(text: str) -> str:
     """
     name = "/" + text.strip("/")
     if not _TOPIC_NAME.fullmatch(name):
-        raise RosNameError(f"{text!r} is no topic's name: expected /name/name of letters, digits and _")
+        raise RosNameError(f"{text!r} is no topic's name: expected /name/name of letters, digits and _, no digit first")
     return name
 
 

@@ -99,7 +99,7 @@ def why_not(message: ObjectTracks, accept_simulated: bool) -> str:
 
 def _address(to: str) -> tuple[str, int]:
     host, colon, port = to.rpartition(":")
-    if not colon or not host or not port.isdigit() or not 0 < int(port) < 65536:
+    if not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
         fail(f"--to {to}: expected HOST:PORT", code=2)
     return host, int(port)
 

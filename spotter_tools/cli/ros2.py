@@ -63,6 +63,9 @@ def ros2(
                 if line.name not in told:
                     told.add(line.name)
                     sys.stderr.write(f"  {line.name}  {line.row.type}  from {line.key}\n")
+            for why in [one for one in list(bridge.refused) if one not in told]:
+                told.add(why)
+                sys.stderr.write(f"  not published: {why}\n")
         stop.set()
         worker.join()
         bridge.close()

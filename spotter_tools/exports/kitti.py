@@ -11,6 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
+from common.geojson import MAP_FRAME
 from common.messages import ObjectTrack, ObjectTracks
 
 KINDS = {"car": "Car", "large_vehicle": "Truck", "cyclist": "Cyclist", "pedestrian": "Pedestrian"}
@@ -18,8 +19,14 @@ _UNKNOWN = "-1 -1 -10 -1 -1 -1 -1"  # truncated, occluded, alpha, box in the pic
 
 
 def lines(recorded: Iterable[tuple[str, ObjectTracks]], counts: Counter[str]) -> Iterator[str]:
-    """The lines of one host's messages; the frame is the number of the message."""
+    """The lines of one host's messages; the frame is the number of the message.
+
+    Messages in another frame than the map are left out, and counted.
+    """
     for frame, (_, message) in enumerate(recorded):
+        if message.frame_id not in ("", MAP_FRAME):
+            counts[f"messages in the frame {message.frame_id}, not {MAP_FRAME}, left out"] += 1
+            continue
         counts["frames"] += 1
         for track in message.tracks:
             counts["lines"] += 1

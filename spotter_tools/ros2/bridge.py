@@ -16,6 +16,7 @@ from common.codec import DecodeError, decode
 from common.ros2.keys import RosNameError, topic_name
 from common.ros2.node import Node, RosPublisher
 from common.topics import info_key, status_topic
+from spotter_tools.ros2.geometry import FrameError
 from spotter_tools.ros2.table import LATCHED, TF_STATIC, Row
 from spotter_tools.ros2.transforms import TF, sensor_transform
 
@@ -155,6 +156,8 @@ class Bridge:
             if mapped is not None:
                 line.publish(mapped)
                 line.sent += 1
+        except FrameError as error:
+            self._refuse(f"{line.key}: {error}")
         except (struct.error, ValueError, ArithmeticError):  # a stamp or a number that its 32 bits do not hold
             self._refuse(f"{line.key}: not sayable in ROS")
 

@@ -28,7 +28,8 @@ def point_cloud(message: m.PointCloud, host: str) -> Any:
         for name in ("x", "y", "z", "intensity", "kind")
     ]  # fmt: skip
     return build(
-        POINT_CLOUD2, header=header(message.stamp_ns, MAP), height=1, width=len(rows), fields=fields,
+        POINT_CLOUD2, header=header(message.stamp_ns, message.frame_id or MAP),
+        height=1, width=len(rows), fields=fields,
         point_step=_RECORD.itemsize, row_step=rows.nbytes, data=np.frombuffer(rows.tobytes(), np.uint8), is_dense=True,
     )  # fmt: skip
 

@@ -36,7 +36,7 @@ def _detection_2d(one: m.CameraDetection, head: Any) -> Any:
 
 def detections_3d(message: m.ObjectTracks, host: str) -> Any:
     """Every track as a box in the map frame; ``id`` is the track's, kept for life."""
-    head = header(message.stamp_ns, MAP)
+    head = header(message.stamp_ns, message.frame_id or MAP)
     return build(DETECTIONS_3D, header=head, detections=[_detection_3d(track, head) for track in message.tracks])
 
 

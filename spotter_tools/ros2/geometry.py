@@ -11,6 +11,10 @@ from common.ros2.types import build
 MAP, VEHICLE = "map", "base_link"  # REP-105
 
 
+class FrameError(ValueError):
+    """A message in another frame than its topic in ROS 2 stands for."""
+
+
 def vector(v: Sequence[float]) -> Any:
     """geometry_msgs/Vector3."""
     return build("geometry_msgs/msg/Vector3", x=float(v[0]), y=float(v[1]), z=float(v[2]))

@@ -20,7 +20,7 @@ WHITE = (1.0, 1.0, 1.0)
 
 def object_markers(message: m.ObjectTracks, host: str) -> Any:
     """A box, a name with its speed, and an arrow of one second's way for every track."""
-    head, markers = header(message.stamp_ns, MAP), []
+    head, markers = header(message.stamp_ns, message.frame_id or MAP), []
     for track in message.tracks:
         rgb, alpha = COLOURS[track.label], 0.35 if track.state == "coasting" else 0.7
         markers.append(_marker(head, "objects", track.track_id, CUBE, pose(track.position_m, track.yaw_rad),

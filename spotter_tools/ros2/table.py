@@ -32,11 +32,14 @@ class Row:
     says_itself: bool = False
 
     def name(self, host: str, kind: str) -> str:
-        """The ROS topic. What is not measured now stands below a name of its own: ``/spotter_simulated/...``."""
+        """The ROS topic. What is not measured now stands below a name of its own: ``/spotter_simulated/...``.
+
+        A host whose name begins with a digit, as no name of ROS may, gets a ``_`` before it.
+        """
         root = "/spotter" if kind == "live" or self.says_itself else f"/spotter_{kind}"
         if self.last.startswith("/"):
             return self.last if root == "/spotter" else root + self.last
-        return f"{root}/{host}/{self.topic.service}/{self.last}"
+        return f"{root}/{'_' * host[0].isdigit()}{host}/{self.topic.service}/{self.last}"
 
 
 ROWS = (
@@ -53,6 +56,6 @@ ROWS = (
 )
 # Asked for by options: they speak in a namespace that a ROS system has of its own.
 AUTOWARE_ROW = Row(
-    topics.INFRA_TRACKS, OBJECTS_OF_AUTOWARE, tracked_objects.TRACKED_OBJECTS, tracked_objects.tracked_objects
+    topics.INFRA_TRACKS, OBJECTS_OF_AUTOWARE, tracked_objects.TRACKED_OBJECTS, tracked_objects.tracked_objects_on_map
 )
 TF_ROW = Row(topics.EGO_MOTION, TF, transforms.TF, transforms.vehicle_transform, Qos(depth=100))

@@ -10,7 +10,7 @@ import numpy as np
 
 from common import messages as m
 from common.ros2.types import build, header
-from spotter_tools.ros2.geometry import MAP, pose, vector
+from spotter_tools.ros2.geometry import MAP, FrameError, pose, vector
 
 TRACKED_OBJECTS = "autoware_perception_msgs/msg/TrackedObjects"
 # autoware_perception_msgs/ObjectClassification; a large vehicle is a lorry or a bus, and that is not told apart.
@@ -22,9 +22,20 @@ STANDS_MPS = 0.3
 
 
 def tracked_objects(message: m.ObjectTracks, host: str) -> Any:
-    """Every track in the map frame. Its id is the same for life, and another one on another host."""
+    """Every track, in the message's frame. Its id is the same for life, and another one on another host."""
     objects = [_object(track, host) for track in message.tracks]
-    return build(TRACKED_OBJECTS, header=header(message.stamp_ns, MAP), objects=objects)
+    return build(TRACKED_OBJECTS, header=header(message.stamp_ns, message.frame_id or MAP), objects=objects)
+
+
+def tracked_objects_on_map(message: m.ObjectTracks, host: str) -> Any:
+    """The same for a consumer that knows the map only.
+
+    Raises:
+        FrameError: the tracks are in another frame.
+    """
+    if message.frame_id not in ("", MAP):
+        raise FrameError(f"tracks in the frame {message.frame_id}, not {MAP}")
+    return tracked_objects(message, host)
 
 
 def _object(track: m.ObjectTrack, host: str) -> Any:

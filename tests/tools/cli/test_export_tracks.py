@@ -113,6 +113,13 @@ def test_the_schema_refuses_what_is_wrong(recording: Path, tmp_path: Path) -> No
         jsonschema.validate(document, openlabel_schema())
 
 
+def test_kitti_leaves_out_what_is_not_in_the_map(two_hosts: Path, tmp_path: Path) -> None:
+    out = tmp_path / "tracks.txt"
+    told = export(two_hosts, out, "--as", "kitti", "--host", "infra1")
+    assert "1 messages in the frame lidar, not map, left out" in told
+    assert [line.split()[0] for line in out.read_text().splitlines()] == ["0", "2"]
+
+
 def test_kitti_results_are_read_again_by_the_reader_of_the_benchmark(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "0000.txt"
     assert "60 frames, 60 lines" in export(recording, out, "--as", "kitti")

@@ -15,6 +15,7 @@ from common.bus.runtime import Service
 from common.bus.session import open_session
 from common.bus.status import Report
 from common.clock import utc_ns
+from common.codec import encode
 from common.config import ServiceConfig, ZenohConfig
 from common.messages import LaserScan
 from common.ros2.node import Node, node_config
@@ -131,12 +132,23 @@ def test_the_sensors_places_are_said_to_those_who_come_later(
         assert (transform.header.frame_id, transform.child_frame_id) == ("base_link", "lidar")
 
 
-def test_a_host_whose_name_is_none_in_ros_is_told(router_endpoint: str, bridged: Bridge, until) -> None:
+def test_a_host_whose_name_begins_with_a_digit(router_endpoint: str, bridged: Bridge, until) -> None:
     config = ServiceConfig(
         source="serial:/dev/null", host="0car", zenoh=ZenohConfig(namespace=SITE, connect=(router_endpoint,))
     )
     with Service("lidar", config):
-        until(lambda: any("is no topic's name" in why for why in bridged.refused))
+        until(lambda: [line.name for line in bridged.lines()] == ["/spotter/_0car/lidar/scan"])
+
+
+def test_a_host_whose_name_is_none_in_ros_is_told(router_endpoint: str, bridged: Bridge, until) -> None:
+    status = encode(Report("lidar").snapshot())
+    with open_session(ZenohConfig(namespace=SITE, connect=(router_endpoint,))) as session:
+
+        def refused() -> bool:
+            session.put("a-b/lidar/status", status)
+            return any("is no topic's name" in why for why in bridged.refused)
+
+        until(refused)
     assert bridged.lines() == []
 
 

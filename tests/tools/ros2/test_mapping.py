@@ -22,7 +22,7 @@ from services.jetson.lidar.config import LidarConfig, MountingSection
 from services.jetson.lidar.ros2 import laser_scan as read_scan
 from spotter_tools.ros2.clouds import COMPRESSED_IMAGE, picture, point_cloud
 from spotter_tools.ros2.detections import detections_2d, detections_3d
-from spotter_tools.ros2.geometry import turn
+from spotter_tools.ros2.geometry import FrameError, turn
 from spotter_tools.ros2.markers import object_markers, radar_markers
 from spotter_tools.ros2.scans import laser_scan
 from spotter_tools.ros2.table import AUTOWARE_ROW, ROWS, TF_ROW
@@ -123,6 +123,18 @@ def test_tracks_as_boxes() -> None:
         0.9273, abs=1e-4
     )
     assert list(np.diag(theirs.results[0].pose.covariance.reshape(6, 6))) == [1, 2, 3, 0, 0, 0]
+
+
+def test_tracks_and_points_keep_their_frame_and_autoware_gets_those_of_the_map_only() -> None:
+    message = tracks(track())
+    message.frame_id = "pole"
+    for mapped in (detections_3d, tracked_objects):
+        assert there_and_back(mapped(message, "infra0")).header.frame_id == "pole"
+    assert there_and_back(object_markers(message, "infra0")).markers[0].header.frame_id == "pole"
+    with pytest.raises(FrameError, match="tracks in the frame pole, not map"):
+        AUTOWARE_ROW.map(message, "infra0")
+    message.frame_id = ""
+    assert there_and_back(AUTOWARE_ROW.map(message, "infra0")).header.frame_id == "map"
 
 
 def test_tracks_for_autoware_have_their_velocity_in_their_own_frame() -> None:
