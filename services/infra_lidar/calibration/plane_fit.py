@@ -208,7 +208,7 @@ def _prior_text(config: CalibrationConfig) -> str:
 def _mounting_text(normal: np.ndarray) -> str:
     """Pitch and roll of a sensor whose level normal is ``normal``."""
     pitch, roll = -np.arcsin(np.clip(normal[0], -1.0, 1.0)), np.arctan2(normal[1], normal[2])
-    return f"pitch {np.degrees(pitch):.0f}, roll {np.degrees(roll):.0f}: check their signs"
+    return f"pitch {np.degrees(pitch):.0f}, roll {np.degrees(roll):.0f}: check their signs, or max_tilt_deg"
 
 
 def _refit(
