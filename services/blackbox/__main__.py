@@ -27,6 +27,7 @@ def run(config: BlackboxConfig) -> bool:
     """Keep the last seconds of this host until the process ends; False if not closed cleanly."""
     pipeline, folder = BlackboxPipeline(config), Path(config.folder)
     about = {"spotter": {"version": importlib.metadata.version("spotter"), "config_hash": config_hash(config)}}
+    written: list[str] = []
     with Service("blackbox", config) as service:
         server, clock = CapsuleServer(service, folder), FusionClock(service, config.fusion_host)
         service.report.state("online")
@@ -39,18 +40,23 @@ def run(config: BlackboxConfig) -> bool:
             saved = pipeline.process(now_s, kept)
             if saved is not None:
                 spoke = about | who_speaks(service.session, config.host)
-                keep(service, config, saved, spoke, clock.now())
+                keep(service, config, saved, spoke, clock.now(), written)
     return service.closed_cleanly
 
 
 def keep(
-    service: Service, config: BlackboxConfig, saved: Saved, about: dict[str, dict[str, str]], clock: HostClock
-) -> None:
-    """Write the capsule. A disk that takes no more costs this incident; the next is tried all the same."""
+    service: Service, config: BlackboxConfig, saved: Saved, about: dict[str, dict[str, str]], clock: HostClock,
+    written: list[str],
+) -> None:  # fmt: skip
+    """Write the capsule, and its name to ``written``.
+
+    A disk that takes no more costs this incident; the next is tried all the same.
+    """
     folder, incident = Path(config.folder), saved.incident
     try:
         path = write_capsule(folder, config.host, incident, saved.kept, about, clock)
-        keep_newest(folder, config.keep_incidents)
+        written[:] = [*written, incident.name][-config.keep_incidents :]
+        keep_newest(folder, config.keep_incidents, written)
     except OSError as error:
         said = f"{incident.name} was not kept: {folder}: {error.strerror or error}"
         log.error("%s (%s)", said, incident.why)

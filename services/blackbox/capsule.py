@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,9 +74,14 @@ def incidents(folder: Path) -> list[str]:
     return sorted({path.parent.name for path in folder.glob("*/*.mcap") if NAME.match(path.parent.name)})
 
 
-def keep_newest(folder: Path, count: int) -> None:
-    """Remove the oldest incidents beyond ``count``."""
-    for name in incidents(folder)[:-count]:
+def keep_newest(folder: Path, count: int, written: Sequence[str]) -> None:
+    """Remove the oldest incidents beyond ``count``.
+
+    written: names in the order in which this process wrote them. They are newer than all others, whatever a clock that
+    was set back has made of their names.
+    """
+    found = sorted(incidents(folder), key=lambda name: written.index(name) if name in written else -1)
+    for name in found[:-count]:
         shutil.rmtree(folder / name)
 
 

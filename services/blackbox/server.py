@@ -49,7 +49,7 @@ class CapsuleServer:
         with query:
             name = query.parameters.get("name") or ""
             part = query.parameters.get("part") or "0"
-            if not NAME.match(name) or not part.isdigit() or not self._path(name).is_file():
+            if not NAME.match(name) or not part.isdecimal() or not self._path(name).is_file():
                 query.reply_err(b"no such capsule here")
                 return
             with self._path(name).open("rb") as stream:
@@ -60,7 +60,7 @@ class CapsuleServer:
         """Every host takes the asker's time and words, so that all capsules carry one name."""
         why = (query.parameters.get("why") or "asked for")[:200]
         at = query.parameters.get("at_ns") or ""
-        at_ns = int(at) if at.isdigit() and len(at) < 20 else utc_ns()
+        at_ns = int(at) if at.isdecimal() and len(at) < 20 else utc_ns()
         try:
             self.requests.put_nowait(SaveRequest(query, Incident(incident_name(at_ns, "saved"), at_ns, why)))
         except queue.Full:

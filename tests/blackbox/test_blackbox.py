@@ -181,9 +181,17 @@ def test_only_the_newest_incidents_stay(tmp_path: Path) -> None:
         incident = Incident(incident_name(T0 + minute * 60 * SECOND, "imminent"), T0, "test")
         write_capsule(tmp_path, "pi0", incident, [], {})
     (tmp_path / "somebody-elses-folder").mkdir()
-    keep_newest(tmp_path, 2)
-    assert len(incidents(tmp_path)) == 2
+    keep_newest(tmp_path, 2, ())
+    assert incidents(tmp_path) == [incident_name(T0 + minute * 60 * SECOND, "imminent") for minute in (3, 4)]
     assert (tmp_path / "somebody-elses-folder").is_dir()
+
+
+def test_what_was_written_last_stays_also_under_a_name_of_a_clock_that_was_set_back(tmp_path: Path) -> None:
+    names = [incident_name(T0 + minute * 60 * SECOND, "imminent") for minute in (10, 11, 3, 2)]
+    for number, name in enumerate(names):
+        write_capsule(tmp_path, "pi0", Incident(name, T0, "test"), [], {})
+        keep_newest(tmp_path, 2, names[2 : number + 1])  # the first two are of the process before
+    assert incidents(tmp_path) == sorted(names[2:])
 
 
 def test_an_unfinished_capsule_is_not_an_incident(tmp_path: Path) -> None:
