@@ -44,7 +44,8 @@ class Outcome(NamedTuple):
 def record_site(config: InfraLidarConfig, seconds: float) -> SiteRecord:
     """Run the pipeline over the source for so long, or until it ends or falls silent.
 
-    Nothing is learned as background meanwhile: clutter has to be seen to be learned.
+    Nothing is learned as background meanwhile: clutter has to be seen to be learned. Where the clock is set, the stamps
+    go on as if it had not been.
 
     Raises:
         ValueError: no frame came, or no cluster was seen.
@@ -55,10 +56,13 @@ def record_site(config: InfraLidarConfig, seconds: float) -> SiteRecord:
     recorder = SiteRecorder(FEATURES, config.ground.range_max_m)
     warm_up(config, lambda text: None)  # else compiling would be part of the time
     report, elapsed = Report("adapt"), Elapsed()
+    first_ns: int | None = None
     for stamp_ns, frame in awaited(open_source(config, report), report):
-        if elapsed.at(stamp_ns) * 1e-9 > seconds:
+        first_ns = stamp_ns if first_ns is None else first_ns
+        into_ns = elapsed.at(stamp_ns)
+        if into_ns * 1e-9 > seconds:
             break
-        recorder.add(pipeline.process(stamp_ns, frame.returns, frame.quality), pipeline.tracker.matches)
+        recorder.add(pipeline.process(first_ns + into_ns, frame.returns, frame.quality), pipeline.tracker.matches)
     return recorder.record()
 
 

@@ -47,10 +47,12 @@ def awaited(frames: Iterator[T], report: Report, patience_s: float = PATIENCE_S)
         try:
             item = arrived.get(timeout=patience_s)
         except queue.Empty:
-            why = report.snapshot().reason or "no frame came"
+            why = f"no frame came for {patience_s:g} s"
+            if report.snapshot().state == "disconnected":
+                why = report.snapshot().reason
             if not count:
                 raise ValueError(why) from None
-            log.warning("no frame for %g s, going on with the %d before: %s", patience_s, count, why)
+            log.warning("%s: going on with the %d frames before", why, count)
             return
         if isinstance(item, _End):
             if item.error is not None:

@@ -120,6 +120,8 @@ def _frames(count, ended):
 
 def test_a_source_that_falls_silent_is_not_waited_for():
     ended, report = threading.Event(), Report("adapt")
+    with pytest.raises(ValueError, match=r"no frame came for 0\.1 s"):
+        list(awaited(_frames(0, ended), report, 0.1))
     report.state("disconnected", "no packets on UDP port 2368")
     with pytest.raises(ValueError, match="no packets on UDP port 2368"):
         list(awaited(_frames(0, ended), report, 0.1))
