@@ -29,11 +29,15 @@ class Pace:
     loop: bool = False
     shift: bool = True
 
+    def due_ns(self, into_ns: int) -> int:
+        """When a message is due that was recorded so long after the first; at rate 1 exactly then."""
+        return into_ns if self.rate == 1.0 else round(into_ns / self.rate)
+
 
 class Player:
     """Puts recorded messages as they came, with a token for every service that speaks in the recording.
 
-    Where a clock was set, or the next recording is of another day, it goes on at once (see ``Elapsed``).
+    Where a clock was set, or the next recording begins much later, it goes on at once (see ``Elapsed``).
     """
 
     def __init__(self, session: zenoh.Session, paths: list[Path], pace: Pace) -> None:
@@ -61,12 +65,11 @@ class Player:
         for at_ns, recorded in self._recorded():
             if origin_ns is None:
                 origin_ns = at_ns
-            into_s = (at_ns - origin_ns) / 1e9
-            if not self._wait(stop, started_s + into_s / self._pace.rate):
+            due_ns = self._pace.due_ns(at_ns - origin_ns)
+            if not self._wait(stop, started_s + due_ns / 1e9):
                 return
-            due_ns = started_ns + int(into_s / self._pace.rate * 1e9)
-            self._put(recorded, due_ns - recorded.log_ns if self._pace.shift else 0)
-            tell(into_s + self._pace.seek_s)
+            self._put(recorded, started_ns + due_ns - recorded.log_ns if self._pace.shift else 0)
+            tell((at_ns - origin_ns) / 1e9 + self._pace.seek_s)
 
     def _recorded(self) -> Iterator[tuple[int, Recorded]]:
         """Each message with the ns at which it is due after the first one of all recordings."""

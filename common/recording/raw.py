@@ -24,6 +24,7 @@ from common.topics import Topic
 
 MCAP_PARAMETERS = ("rate", "loop", "host")
 PERIOD_NS = 100_000_000  # between the last piece and the first one of the next turn
+FARTHEST_S = 3600.0  # a sensor may have been away for so long
 
 
 def replayed(url: SourceUrl, topic: Topic, wait: Callable[[float], object] = time.sleep) -> Iterator[RawBytes]:
@@ -35,7 +36,7 @@ def replayed(url: SourceUrl, topic: Topic, wait: Callable[[float], object] = tim
     rate = url.number("rate", 1.0)
     start_s, start_ns, turn_ns, into_ns = monotonic_s(), utc_ns(), 0, 0
     while True:
-        elapsed = Elapsed()
+        elapsed = Elapsed(FARTHEST_S)
         for piece in pieces(url, topic):
             into_ns = turn_ns + elapsed.at(piece.stamp_ns)
             if rate > 0:

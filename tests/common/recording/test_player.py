@@ -72,7 +72,7 @@ def test_seeking_skips_the_beginning(tmp_path: Path, zenoh_config: ZenohConfig, 
     assert player.played == 4
 
 
-@pytest.mark.parametrize("set_by_s", [-3600, 86_400])
+@pytest.mark.parametrize("set_by_s", [-3600, 120, 86_400])
 @pytest.mark.parametrize("files", [1, 2])
 def test_what_comes_after_the_clock_was_set_is_played_in_its_time(
     tmp_path: Path, zenoh_config: ZenohConfig, add: Add, files: int, set_by_s: int
