@@ -2,8 +2,8 @@
 
 Cells grow with range because the spacing of returns does: near the sensor 15 cm keep two pedestrians apart, far away
 the same cell would break a car. Cells are filled by points up to the height of a body; what is above joins tall things
-(buses) only, so that a tree's canopy does not tie the cars below it together. Groups of people are split by their heads
-and fragments of vehicles merged.
+(buses) only. So the crown of a tree does not tie the cars below it together, and neither do branches that hang beside
+them. Groups of people are split by their heads and fragments of vehicles merged.
 """
 
 from __future__ import annotations
@@ -15,7 +15,13 @@ import numpy as np
 from services.infra_lidar.clustering.attach_returns import attach_single_returns
 from services.infra_lidar.clustering.boxes import Groups, group_by_label, join_groups, keep_groups
 from services.infra_lidar.clustering.grid import CellGrid, cells_of
-from services.infra_lidar.clustering.label import CellLabeller, drop_strays, extract_overhang, tall_components
+from services.infra_lidar.clustering.label import (
+    CellLabeller,
+    component_tops,
+    drop_strays,
+    extract_overhang,
+    tall_components,
+)
 from services.infra_lidar.clustering.merge_vehicles import footprints, merge_fragments
 from services.infra_lidar.clustering.split_people import split_pedestrian_groups
 from services.infra_lidar.config import ClusteringConfig
@@ -102,11 +108,13 @@ class Clustering:
         above_m = np.ascontiguousarray(points[:, 3])  # one type for the kernels, however few points there are
         cell = cells_of(points, self._grid.scale)
         label, components = self._cells.label(cell, above_m < body_m)
-        tall = tall_components(above_m, label, components, body_m, np.float32(self._config.max_height_m))
+        top_m, most_m = component_tops(above_m, label, components), np.float32(self._config.max_height_m)
+        foot = self._cells.extract_foot(cell, above_m, label, top_m > most_m, body_m)
+        tall = tall_components(above_m, label, top_m, body_m, most_m)
         overhang = extract_overhang(above_m, label, tall, body_m)
-        if len(overhang):
-            own, more = self._cells.label(cell[overhang], np.ones(len(overhang), np.bool_))
-            label[overhang] = np.where(own >= 0, own + components, -1)
+        for apart in (foot, overhang):  # each has components of its own
+            own, more = self._cells.label(cell[apart], np.ones(len(apart), np.bool_))
+            label[apart] = np.where(own >= 0, own + components, -1)
             components += more
         if self._config.body_height_m:
             drop_strays(above_m, label, components)

@@ -15,6 +15,8 @@ from services.infra_lidar.jit import kernel
 BAND_M = np.float32(0.4)  # a component with points in this uppermost part of the body height continues above it
 TALL_SHARE = 0.03  # of its points
 TALL_POINTS = 3
+BRANCH_M = np.float32(1.0)  # branches have nothing lower
+LOW, HIGH = 1, 2  # what a cell has: points near the road, points above body height
 STRAY_SHARE = 0.01  # of a component's points at most are strays
 STRAY_GAP_M = np.float32(0.4)  # and at least this far above all others
 LAYER_M, LAYERS = np.float32(0.1), 64  # heights are counted in layers of this thickness
@@ -26,6 +28,7 @@ class CellLabeller:
     def __init__(self, config: ClusteringConfig, grid: CellGrid) -> None:
         self._grid, self._min_cell_points, self._eight = grid, config.min_cell_points, config.connectivity == 8
         self._node_of_cell = np.full(grid.side * grid.side, -1, np.int32)
+        self._reach = np.zeros(grid.side * grid.side, np.uint8)
 
     def label(self, cell: np.ndarray, fills: np.ndarray) -> tuple[np.ndarray, int]:
         """Component of each point.
@@ -40,6 +43,16 @@ class CellLabeller:
         label = labels_of_points(cell, self._node_of_cell, components)
         self._node_of_cell[cells] = -1
         return label, number
+
+    def extract_foot(
+        self, cell: np.ndarray, above_m: np.ndarray, label: np.ndarray, higher: np.ndarray, body_m: np.float32
+    ) -> np.ndarray:
+        """(F,) int32: index of the points below body height in ``higher`` (K,) bool components, without branches.
+
+        What is higher than any vehicle is a tree, a post or a house. A car at its foot touches it through branches:
+        cells in which nothing is near the road and something is above body height.
+        """
+        return _points_at_foot(above_m, label, higher, _in_branches(cell, above_m, body_m, self._reach), body_m)
 
 
 @kernel
@@ -117,25 +130,60 @@ def labels_of_points(cell: np.ndarray, node_of_cell: np.ndarray, component: np.n
 
 
 @kernel
-def tall_components(
-    above_m: np.ndarray, label: np.ndarray, components: int, body_m: np.float32, most_m: np.float32
-) -> np.ndarray:
-    """(K,) bool: components whose points reach the top of the body height, and end below ``most_m``.
-
-    What is higher is no vehicle, but there may be one at its foot: a car beside a tree.
+def component_tops(above_m: np.ndarray, label: np.ndarray, components: int) -> np.ndarray:
+    """(K,) float32, height (m) of the highest point of each component, 0 at least.
 
     above_m: (M,) float32, height above the local road. label: (M,) int32, component of each point, -1 = none.
     """
-    number, in_band = np.zeros(components, np.int32), np.zeros(components, np.int32)
     top_m = np.zeros(components, np.float32)
     for i in range(len(label)):
-        if label[i] < 0:
-            continue
-        top_m[label[i]] = max(top_m[label[i]], above_m[i])
-        if above_m[i] < body_m:
+        if label[i] >= 0:
+            top_m[label[i]] = max(top_m[label[i]], above_m[i])
+    return top_m
+
+
+@kernel
+def tall_components(
+    above_m: np.ndarray, label: np.ndarray, top_m: np.ndarray, body_m: np.float32, most_m: np.float32
+) -> np.ndarray:
+    """(K,) bool: components whose points reach the top of the body height, and end below ``most_m``.
+
+    top_m: (K,) as by ``component_tops``, the others as there.
+    """
+    number, in_band = np.zeros(len(top_m), np.int32), np.zeros(len(top_m), np.int32)
+    for i in range(len(label)):
+        if label[i] >= 0 and above_m[i] < body_m:
             number[label[i]] += 1
             in_band[label[i]] += above_m[i] >= body_m - BAND_M
     return (in_band >= TALL_POINTS) & (in_band >= TALL_SHARE * number) & (top_m <= most_m)
+
+
+@kernel
+def _in_branches(cell: np.ndarray, above_m: np.ndarray, body_m: np.float32, reach: np.ndarray) -> np.ndarray:
+    """(M,) bool: points in cells that hold branches. reach: (cells of the grid,) uint8, 0 before and after."""
+    for i in range(len(cell)):
+        if above_m[i] < BRANCH_M:
+            reach[cell[i]] |= LOW
+        elif above_m[i] >= body_m:
+            reach[cell[i]] |= HIGH
+    found = np.empty(len(cell), np.bool_)
+    for i in range(len(cell)):
+        found[i] = reach[cell[i]] == HIGH
+    for i in range(len(cell)):
+        reach[cell[i]] = 0
+    return found
+
+
+@kernel
+def _points_at_foot(
+    above_m: np.ndarray, label: np.ndarray, higher: np.ndarray, in_branches: np.ndarray, body_m: np.float32
+) -> np.ndarray:
+    foot, number = np.empty(len(label), np.int32), 0
+    for i in range(len(label)):
+        if above_m[i] < body_m and not in_branches[i] and label[i] >= 0 and higher[label[i]]:
+            foot[number] = i
+            number += 1
+    return foot[:number]
 
 
 @kernel

@@ -57,12 +57,25 @@ def test_a_car_at_the_foot_of_what_is_higher_than_any_vehicle_is_not_lost():
     car = solid(12, 0, 4.2, 1.8, 0.2, 1.5, n=600)
     trunk, crown = solid(12, 1.05, 0.4, 0.4, 0.2, 6.0, n=600), solid(12, 2.5, 5.0, 5.0, 3.0, 7.0, n=2000)
     found, owner = _cluster(car, trunk, crown)
-    (cluster,) = _own(found, owner)[0]
+    cluster = np.bincount(found.cluster_id(len(owner))[owner == 0] + 1)[1:].argmax()
     assert found.box[cluster, 5] < 2.2
-    assert np.mean(owner[found.cluster_id(len(owner)) == cluster] == 0) > 0.5
+    inside = owner[found.cluster_id(len(owner)) == cluster] == 0
+    assert inside.mean() > 0.5
+    assert inside.sum() > 0.9 * np.sum(owner == 0)
     unbounded = ClusteringConfig(max_height_m=8.0)
     (joined,) = _own(_cluster(car, trunk, crown, config=unbounded)[0], owner)[0]
     assert _cluster(car, trunk, crown, config=unbounded)[0].box[joined, 5] > 5.0
+
+
+def test_branches_that_hang_beside_a_car_do_not_tie_it_to_the_tree():
+    """The trunk is 3 m away; the crown begins at 1.2 m and reaches the car's side."""
+    car = solid(12, 0, 4.2, 1.8, 0.2, 1.5, n=600)
+    trunk, crown = solid(12, 4.0, 0.4, 0.4, 0.2, 6.0, n=600), solid(12, 3.5, 5.0, 5.2, 1.2, 7.0, n=4000)
+    found, owner = _cluster(car, trunk, crown)
+    of_car = found.cluster_id(len(owner))[owner == 0]
+    (cluster,) = _own(found, owner)[0]
+    assert np.mean(of_car == cluster) > 0.9
+    assert np.mean(owner[found.cluster_id(len(owner)) == cluster] == 0) > 0.95
 
 
 def test_a_bus_keeps_its_roof():
