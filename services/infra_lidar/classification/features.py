@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.classification.band_kernels import BAND_NAMES
-from services.infra_lidar.classification.feature_kernels import FEATURE_NAMES, cluster_features
+from services.infra_lidar.classification.band_kernels import BAND_NAMES, BANDS
+from services.infra_lidar.classification.feature_kernels import FEATURE_NAMES, SLICES, cluster_features
 
 ARTICLE_19: tuple[str, ...] = (
     "xy_spread", "xy_area", "z_range", "height_to_footprint", "density", "z_25", "z_75", "z_std", "num_points",
@@ -35,13 +35,19 @@ _OF_THE_SENSOR = ("num_points", "density", "range_m", "points_by_range")  # beam
 _BANDS = tuple(name for name in BAND_NAMES if name not in FROM_RANGE)
 _ALL = (*ARTICLE_19, "cross_section_mean", "z_range_cleaned", *_OWN, *_BANDS)
 _SHAPE = tuple(name for name in _ALL if name not in _OF_THE_SENSOR)
+_OF_THE_SPREAD = (
+    "scattering", "linearity", "planarity", "cross_section_var", "cross_section_mean", "depth_scatter",
+    *(f"layer_frac_{s}" for s in range(SLICES)), *(f"band_frac_{b}" for b in range(BANDS)),
+)  # fmt: skip
+"""How the returns are spread over a body: decided by beams, glass and dark paint as much as by the body."""
 
 FEATURE_SETS: dict[str, tuple[str, ...]] = {
     "spotter": (*_SHAPE, *FROM_RANGE),
+    "any_sensor": tuple(name for name in (*_SHAPE, *FROM_RANGE) if name not in _OF_THE_SPREAD),
     "shape": _SHAPE,
 }
-"""By name. ``spotter`` is the default; ``shape`` is the same without what needs the distance to the sensor, for
-clusters that were centred when they were stored."""
+"""By name. ``spotter`` is for the sensor that the examples are from, ``any_sensor`` for others, too. ``shape`` is
+``spotter`` without what needs the distance to the sensor, for clusters that were centred when they were stored."""
 
 
 def compute_features(

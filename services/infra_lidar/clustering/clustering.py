@@ -109,10 +109,10 @@ class Clustering:
         cell = cells_of(points, self._grid.scale)
         label, components = self._cells.label(cell, above_m < body_m)
         top_m, most_m = component_tops(above_m, label, components), np.float32(self._config.max_height_m)
-        foot = self._cells.extract_foot(cell, above_m, label, top_m > most_m, body_m)
+        foot, roof = self._cells.extract_foot(cell, above_m, label, top_m > most_m, body_m)
         tall = tall_components(above_m, label, top_m, body_m, most_m)
         overhang = extract_overhang(above_m, label, tall, body_m)
-        for apart in (foot, overhang):  # each has components of its own
+        for apart in (foot, roof, overhang):  # each has components of its own
             own, more = self._cells.label(cell[apart], np.ones(len(apart), np.bool_))
             label[apart] = np.where(own >= 0, own + components, -1)
             components += more

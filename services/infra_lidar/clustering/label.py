@@ -15,6 +15,7 @@ from services.infra_lidar.jit import kernel
 BAND_M = np.float32(0.4)  # a component with points in this uppermost part of the body height continues above it
 TALL_SHARE = 0.03  # of its points
 TALL_POINTS = 3
+CAR_TOP_M = np.float32(1.9)
 BRANCH_M = np.float32(1.0)  # branches have nothing lower
 LOW, HIGH = 1, 2  # what a cell has: points near the road, points above body height
 STRAY_SHARE = 0.01  # of a component's points at most are strays
@@ -46,11 +47,12 @@ class CellLabeller:
 
     def extract_foot(
         self, cell: np.ndarray, above_m: np.ndarray, label: np.ndarray, higher: np.ndarray, body_m: np.float32
-    ) -> np.ndarray:
-        """(F,) int32: index of the points below body height in ``higher`` (K,) bool components, without branches.
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Index (int32) of points in ``higher`` (K,) bool components: what stands on the road, and what may be a roof.
 
         What is higher than any vehicle is a tree, a post or a house. A car at its foot touches it through branches:
-        cells in which nothing is near the road and something is above body height.
+        cells in which nothing is near the road and something is above body height. What is no higher there than a car
+        may be the roof of one below the branches; it is merged with its car again.
         """
         return _points_at_foot(above_m, label, higher, _in_branches(cell, above_m, body_m, self._reach), body_m)
 
@@ -177,13 +179,19 @@ def _in_branches(cell: np.ndarray, above_m: np.ndarray, body_m: np.float32, reac
 @kernel
 def _points_at_foot(
     above_m: np.ndarray, label: np.ndarray, higher: np.ndarray, in_branches: np.ndarray, body_m: np.float32
-) -> np.ndarray:
-    foot, number = np.empty(len(label), np.int32), 0
+) -> tuple[np.ndarray, np.ndarray]:
+    foot, roof = np.empty(len(label), np.int32), np.empty(len(label), np.int32)
+    feet = roofs = 0
     for i in range(len(label)):
-        if above_m[i] < body_m and not in_branches[i] and label[i] >= 0 and higher[label[i]]:
-            foot[number] = i
-            number += 1
-    return foot[:number]
+        if above_m[i] >= body_m or label[i] < 0 or not higher[label[i]]:
+            continue
+        if not in_branches[i]:
+            foot[feet] = i
+            feet += 1
+        elif above_m[i] < CAR_TOP_M:
+            roof[roofs] = i
+            roofs += 1
+    return foot[:feet], roof[:roofs]
 
 
 @kernel

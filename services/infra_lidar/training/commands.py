@@ -35,11 +35,11 @@ def add_commands(app: typer.Typer) -> None:
 def train(
     folder: Folder = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="The model file.")] = Path("forest.npz"),
-    scenes: Scenes = 40,
-    bodies: Annotated[int, typer.Option("--bodies", min=0, help="Single generated bodies per class besides.")] = 1500,
+    scenes: Scenes = 80,
+    bodies: Annotated[int, typer.Option("--bodies", min=0, help="Single generated bodies per class besides.")] = 3000,
     trees: Annotated[int | None, typer.Option("--trees", min=1, help="Default: 144; of a folder 48.")] = None,
     leaves: Annotated[
-        int | None, typer.Option("--leaves", min=2, help="Of a tree, at the most. Default: 80; of a folder 1000.")
+        int | None, typer.Option("--leaves", min=2, help="Of a tree, at the most. Default: 160; of a folder 1000.")
     ] = None,
 ) -> None:
     """Train a forest from labelled clusters, or from generated scenes, and store it as plain arrays."""
@@ -52,7 +52,7 @@ def train(
     log.info("training on %d clusters", len(clusters))
     usual = ForestSettings() if folder else GENERATED
     settings = replace(usual, trees=trees or usual.trees, max_leaves=leaves or usual.max_leaves)
-    features = "shape" if folder else "spotter"  # clusters in files are centred: they have no distance to the sensor
+    features = "shape" if folder else "any_sensor"  # clusters in files are centred: no distance to the sensor
     forest = train_forest(clusters, features, story, settings, tell=say, weight=weight)
     size = write_forest(forest, output)
     say(f"{output}: {settings.trees} trees, {len(forest.feature)} nodes, {size}, {forest.digest[:12]}")

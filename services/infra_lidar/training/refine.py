@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.sparse import csr_array
-from sklearn.ensemble import RandomForestClassifier
+from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
 
 from services.infra_lidar.classification.classes import CLASSES
 
-C = 0.01  # of the regression: smaller pulls the scores harder towards 0
+C = 0.007  # of the regression: smaller pulls the scores harder towards 0
 TOLERANCE, ITERATIONS = 1e-3, 500
 
 
@@ -24,7 +24,7 @@ class RefinedForest:
     The probabilities are the softmax of the scores' sums over the trees. forest: not fitted yet.
     """
 
-    def __init__(self, forest: RandomForestClassifier) -> None:
+    def __init__(self, forest: RandomForestClassifier | ExtraTreesClassifier) -> None:
         self.forest = forest
         self._regression = LogisticRegression(C=C, tol=TOLERANCE, max_iter=ITERATIONS)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from sklearn.ensemble import RandomForestClassifier
+from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
 from sklearn.isotonic import IsotonicRegression
 from sklearn.model_selection import GroupKFold
 
@@ -32,7 +32,7 @@ from services.infra_lidar.training.varied_streets import varied_street_clusters
 
 TrainedForest: TypeAlias = RandomForestClassifier | RefinedForest
 BODY_WEIGHT = 0.6  # of a single body against a cluster of a street: bodies are of no street's shares
-BACKGROUND_WEIGHT = 0.26  # between whole frames, two thirds background, and a learned scene, nearly none of it
+BACKGROUND_WEIGHT = 0.35  # between whole frames, two thirds background, and a learned scene, nearly none of it
 VARIED_SEED = 29_000  # added for streets of varied bodies: no two streets have one plan
 _BACKGROUND = 2  # generated fixtures per body of any class: the street has more kinds of things than of road users
 _FRAMES, _VIEWS = 2, 3  # of a street and of one with varied bodies
@@ -81,22 +81,25 @@ class ForestSettings:
     min_leaf: int = 4
     max_leaves: int = 1000
     refined: bool = False  # see ``refine.py``; then many small trees do better than few large ones
+    random_cuts: bool = False  # Geurts, Ernst and Wehenkel, "Extremely randomized trees", 2006
     seed: int = 42
     background: float = 1.0  # weight of background in the calibration
     balanced: bool = True  # classes weigh the same in the trees; the calibration undoes it in the probabilities
 
     def grow(self, x: np.ndarray, labels: np.ndarray, weight: np.ndarray | None) -> TrainedForest:
         """A forest fitted to x (K, F), labels (K,) and weight (K,)."""
-        forest = RandomForestClassifier(
+        kind = ExtraTreesClassifier if self.random_cuts else RandomForestClassifier
+        forest = kind(
             self.trees, max_depth=self.max_depth, min_samples_leaf=self.min_leaf, max_leaf_nodes=self.max_leaves,
-            class_weight="balanced" if self.balanced else None, random_state=self.seed, n_jobs=1,
+            bootstrap=True, class_weight="balanced" if self.balanced else None, random_state=self.seed, n_jobs=1,
         )  # fmt: skip
         return (RefinedForest(forest) if self.refined else forest).fit(x, labels, weight)
 
 
 GENERATED = ForestSettings(
-    trees=144, min_leaf=10, max_leaves=80, refined=True, background=BACKGROUND_WEIGHT, balanced=False
-)
+    trees=144, min_leaf=20, max_leaves=160, refined=True, random_cuts=True, background=BACKGROUND_WEIGHT,
+    balanced=False,
+)  # fmt: skip
 """For what is learned from generated clusters alone."""
 
 
@@ -122,7 +125,7 @@ def train_forest(
             tell(line)
     counts = {name: int(np.sum(clusters.labels == c)) for c, name in enumerate(CLASSES)}
     made = {"feature_set": feature_set, "clusters": counts, "trees": settings.trees, "forest_seed": settings.seed}
-    made |= {"background_weight": settings.background, "refined": settings.refined}
+    made |= {"background_weight": settings.background, "refined": settings.refined, "random_cuts": settings.random_cuts}
     return flatten(fit(np.arange(len(x))), names, curve_x, curve_y, {**provenance, **made})
 
 

@@ -206,10 +206,15 @@ def test_the_shipped_model_is_made_with_the_defaults_of_train() -> None:
 
     forest, default = load_forest(SHIPPED_MODEL), inspect.signature(train).parameters
     made = {name: default[name].default for name in ("scenes", "bodies")}
-    made |= {"seed": TRAIN_SEED, "forest_seed": GENERATED.seed, "feature_set": "spotter", "trees": GENERATED.trees}
-    made |= {"body_weight": BODY_WEIGHT, "background_weight": GENERATED.background, "refined": True}
+    made |= {"seed": TRAIN_SEED, "forest_seed": GENERATED.seed, "feature_set": "any_sensor", "trees": GENERATED.trees}
+    made |= {
+        "body_weight": BODY_WEIGHT,
+        "background_weight": GENERATED.background,
+        "refined": True,
+        "random_cuts": True,
+    }
     assert {name: forest.provenance.get(name) for name in made} == made
-    assert forest.features == FEATURE_SETS["spotter"]
+    assert forest.features == FEATURE_SETS["any_sensor"]
 
 
 def test_the_shipped_model_knows_bodies_it_has_not_seen() -> None:
