@@ -81,11 +81,11 @@ def test_branches_that_hang_beside_a_car_do_not_tie_it_to_the_tree():
 def test_a_roof_below_a_crown_stays_with_its_car():
     """Of the car the near side and the roof are seen, and the crown above it."""
     side, roof = solid(12, -0.8, 4.2, 0.2, 0.2, 1.0, n=300), solid(12, 0.2, 4.0, 1.6, 1.35, 1.5, n=300)
-    found, owner = _cluster(side, roof, solid(12, 0, 6.0, 5.0, 3.0, 7.0, n=3000))
+    found, owner = _cluster(side, roof, solid(12, 0, 6.0, 5.0, 2.0, 7.0, n=3000))
     cluster = found.cluster_id(len(owner))
     (of_side,) = set(cluster[owner == 0])
     assert np.mean(cluster[owner == 1] == of_side) > 0.9
-    assert np.mean(owner[cluster == of_side] < 2) > 0.95
+    assert np.mean(owner[cluster == of_side] < 2) > 0.9
 
 
 def test_a_bus_keeps_its_roof():
