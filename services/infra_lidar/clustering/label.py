@@ -9,13 +9,14 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.clustering.grid import CellGrid
+from services.infra_lidar.clustering.merge_vehicles import WHOLE_CAR_TOP_M
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.jit import kernel
 
 BAND_M = np.float32(0.4)  # a component with points in this uppermost part of the body height continues above it
 TALL_SHARE = 0.03  # of its points
 TALL_POINTS = 3
-CAR_TOP_M = np.float32(1.9)
+CAR_TOP_M = np.float32(WHOLE_CAR_TOP_M)
 BRANCH_M = np.float32(1.0)  # branches have nothing lower
 LOW, HIGH = 1, 2  # what a cell has: points near the road, points above body height
 STRAY_SHARE = 0.01  # of a component's points at most are strays
