@@ -173,7 +173,7 @@ def _end_of(inputs: FusionInputs, demand: Demand, spent: bool) -> str:
     out = [f"{spoken(name)} online again" for name, sensor in inputs.fitted.items() if sensor.state != "online"]
     match demand.rule:
         case "R7-two-out" | "R7-blind":
-            needed = len(out) - 1  # one may stay out
+            needed = max(len(out) - 1, 1)  # one may stay out, if there are several
             return " or ".join(out) if needed == 1 else f"{number_word(needed)} of: {', '.join(out)}"
         case "A25-starting":
             return "a first message from " + ", ".join(map(spoken, inputs.starting))

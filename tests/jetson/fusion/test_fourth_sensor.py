@@ -11,7 +11,7 @@ import pytest
 from common.messages import LEVELS, CompressedImage
 from common.topics import SENSOR_TOPICS
 from services.jetson.fusion.bar import bar
-from services.jetson.fusion.pipeline import Step
+from services.jetson.fusion.pipeline import NOT_FITTED, Step
 from services.jetson.fusion.readings import read
 from services.jetson.fusion.trace import decide_again, trace_of
 from services.jetson.fusion.verdict import DEFAULT_RULES, FusionInputs, FusionMemory, SensorInput, fuse
@@ -85,6 +85,13 @@ def test_sensors_out(out: tuple[str, ...], level: str, rule: str, permission: st
     assert (verdict.because, verdict.to_lower) == (because, to_lower)
     assert verdict.blind == (out == FOUR)
     assert broken_rules(verdict, FOUR) == []
+
+
+def test_the_only_sensor_out() -> None:
+    only_radar = FusionInputs(now_s=0.0, moving=None, lidar=NOT_FITTED, radar=LOST, camera=NOT_FITTED)
+    verdict, _ = fuse(only_radar, FusionMemory())
+    assert (verdict.rule, verdict.because) == ("R7-blind", "blind: radar disconnected")
+    assert verdict.to_lower == "radar online again"
 
 
 @pytest.mark.parametrize("state", ["online", "degraded"])
