@@ -33,8 +33,8 @@ def words_of(name: str) -> SensorWords:
 def bar(states: Mapping[str, SensorState], roadside: Mapping[str, SensorState] | None = None) -> tuple[Colour, str]:
     """Colour and text from the state of each on-board sensor; degraded and disconnected are both out.
 
-    None out is green, one amber, more red. Sensors are named in the order of ``states``. Those of ``roadside`` change
-    no colour, because the vehicle can do without them, but one that is out is named.
+    None out is green, one amber, more red; so is a vehicle without any. Sensors are named in the order of ``states``.
+    Those of ``roadside`` change no colour, because the vehicle can do without them, but one that is out is named.
     """
     colour, text = _vehicle(states)
     missed = [f"{spoken(name)} {state}" for name, state in (roadside or {}).items() if state != "online"]
@@ -44,6 +44,8 @@ def bar(states: Mapping[str, SensorState], roadside: Mapping[str, SensorState] |
 def _vehicle(states: Mapping[str, SensorState]) -> tuple[Colour, str]:
     out = [name for name, state in states.items() if state != "online"]
     left = [name for name in states if name not in out]
+    if not states:
+        return "red", "NO VEHICLE SENSOR FITTED, SYSTEM BLIND"
     if not out:
         return "green", "ALL VEHICLE SENSORS ONLINE"
     if not left:

@@ -171,6 +171,7 @@ def _end_of_claim(inputs: FusionInputs, demand: Demand, claims: tuple[Claim, ...
 
 def _end_of(inputs: FusionInputs, demand: Demand, spent: bool) -> str:
     out = [f"{spoken(name)} online again" for name, sensor in inputs.fitted.items() if sensor.state != "online"]
+    lidar = "LiDAR online again, or " if inputs.lidar.fitted else ""
     match demand.rule:
         case "R7-two-out" | "R7-blind":
             needed = max(len(out) - 1, 1)  # one may stay out, if there are several
@@ -184,9 +185,9 @@ def _end_of(inputs: FusionInputs, demand: Demand, spent: bool) -> str:
         case "C1-clock":
             return "clock offset measured again, stamps plausible"
         case "R9-static-radar":
-            return "LiDAR online again, or the vehicle known to stand, or the standing track gone"
+            return f"{lidar}the vehicle known to stand, or the standing track gone"
         case "R5-camera-stands-in":
-            return "LiDAR online again, or the camera's forward zone empty"
+            return f"{lidar}the camera's forward zone empty"
         case "I1-roadside":
             return "the roadside object off the vehicle's path"
     quiet = f"{spoken(demand.by)} to report {'SAFE' if demand.level == 'CAUTION' else 'less than IMMINENT'}"

@@ -51,3 +51,7 @@ def test_the_bar(row: str) -> None:
 
 def test_all_27_rows_are_there() -> None:
     assert len({row.split("|")[0] for row in BAR.strip().splitlines()}) == 27
+
+
+def test_a_vehicle_without_sensors_is_blind() -> None:
+    assert bar({}) == ("red", "NO VEHICLE SENSOR FITTED, SYSTEM BLIND")

@@ -94,6 +94,16 @@ def test_the_only_sensor_out() -> None:
     assert verdict.to_lower == "radar online again"
 
 
+@pytest.mark.parametrize(
+    ("lidar", "to_lower"),
+    [(NOT_FITTED, "the camera's forward zone empty"), (LOST, "LiDAR online again, or the camera's forward zone empty")],
+)
+def test_what_is_not_fitted_is_not_waited_for(lidar: SensorInput, to_lower: str) -> None:
+    ahead = seen("CAUTION")
+    verdict, _ = fuse(FusionInputs(now_s=0.0, moving=None, lidar=lidar, radar=CLEAR, camera=ahead), FusionMemory())
+    assert (verdict.rule, verdict.to_lower) == ("R5-camera-stands-in", to_lower)
+
+
 @pytest.mark.parametrize("state", ["online", "degraded"])
 @pytest.mark.parametrize("level", ["CAUTION", "IMMINENT"])
 def test_its_alarm_counts_like_lidar_and_radar(level: str, state: str) -> None:
