@@ -14,7 +14,7 @@ import pytest
 from common import topics
 from common.bus.runtime import Service
 from common.config import ServiceConfig, ZenohConfig
-from common.messages import CameraDetection, CameraDetections, Message, RadarTracks, SystemHealth
+from common.messages import CameraDetection, CameraDetections, Message, RadarTracks, SensorHealth, SystemHealth
 from services.jetson.camera.annotate import picture
 from services.jetson.camera.config import ImageConfig, ZoneConfig
 
@@ -122,6 +122,24 @@ def test_the_name_of_the_vehicle_stands_before_the_health_bar(browser: Any, dash
     with speaking(module_router, (topics.FUSION_HEALTH, "jetson0", health)):
         browser.open(dashboard.url, 1400, 1000)
         browser.wait(f"{WORDS.format('health')} == 'car1: ALL WELL'")
+
+
+def test_a_sensor_that_nobody_has_takes_no_room(browser: Any, dashboard: Any, module_router: str) -> None:
+    hidden = "document.querySelector('[data-sensor={}]').hidden"
+
+    def health() -> SystemHealth:
+        radar = SensorHealth(state="online", reason="", since_ns=1, age_ms=50.0, rate_hz=10.0)
+        return SystemHealth(
+            stamp_ns=time.time_ns(), sensors={"radar": radar}, colour="green", summary="ALL WELL", services={}
+        )
+
+    with speaking(module_router, (topics.FUSION_HEALTH, "jetson0", health)):
+        browser.open(dashboard.url, 1400, 1000)
+        browser.wait(f"{hidden.format('infra_lidar')} && {hidden.format('camera')} && !{hidden.format('radar')}")
+        seen = (topics.CAMERA_DETECTIONS, "jetson0", lambda: seen_at(time.time_ns(), "person", 7.0, 6.5))
+        with speaking(module_router, seen):
+            browser.wait(f"!{hidden.format('camera')}")
+            assert browser.run(hidden.format("infra_lidar"))
 
 
 def seen_at(stamp_ns: int, label: str, distance_m: float, nearest_m: float) -> CameraDetections:

@@ -45,6 +45,15 @@ function drawLink() {
   return cut;
 }
 
+// The panel of a sensor that fusion does not know and that nobody runs would stay empty for ever.
+function drawFitted(health, entries) {
+  const runs = (sensor) => Object.keys(entries).some((key) => key.endsWith(`/${sensor}/status`));
+  for (const panel of document.querySelectorAll("[data-sensor]")) {
+    const { sensor } = panel.dataset;
+    panel.hidden = health !== null && !(sensor in health.message.sensors) && !runs(sensor);
+  }
+}
+
 function draw() {
   const cut = drawLink();
   const verdict = newest("fusion/verdict");
@@ -57,6 +66,7 @@ function draw() {
   drawHealth(health, cut);
   drawGate(newest("gate/state"), cut);
   drawSlim(face);
+  drawFitted(health, state.entries);
   drawSensors(health, verdict);
   drawLatency(health, verdict, newest("fusion/status"));
   drawServices(state.entries);
