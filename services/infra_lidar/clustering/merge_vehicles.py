@@ -12,12 +12,13 @@ import numpy as np
 
 from services.infra_lidar.jit import kernel
 
-X, Y, COS, SIN, HALF_LENGTH, HALF_WIDTH, TOP, COLUMNS = range(8)  # of a footprint
+X, Y, COS, SIN, HALF_LENGTH, HALF_WIDTH, BOTTOM, TOP, COLUMNS = range(9)  # of a footprint
 SMALL_LENGTH_M, SMALL_WIDTH_M, SMALL_TOP_M = 5.3, 2.2, 2.2
 LARGE_LENGTH_M, LARGE_WIDTH_M, LARGE_TOP_M = 14.0, 3.3, 4.5
 WHOLE_CAR_LENGTH_M, WHOLE_CAR_WIDTH_M, WHOLE_CAR_TOP_M = 3.3, 1.4, 1.9  # what is as large and no higher lacks nothing
 TOUCH_M = 0.35  # up to this gap fragments may meet at any angle (the corner of a vehicle)
 SMALL_GAP_M, LARGE_GAP_M = 1.2, 3.0
+HANGING_GAP_M = 0.4  # what begins this far above a fragment hangs over it: a sign, a branch
 SIDE_STEP_M = 0.5  # fragments across a wider gap lie in one line to within this
 PERSON_WIDTH_M, PERSON_HEIGHT_M = 1.0, 1.0
 UPPER_WIDTH_M, UPPER_HEIGHT_M = 0.8, 0.2  # of a person behind another: head and shoulders at least
@@ -29,12 +30,12 @@ PAIRS_PER_FRAGMENT = 16  # room for that many neighbours on average
 @kernel
 def footprints(box: np.ndarray) -> np.ndarray:
     """(K, COLUMNS) float32 of boxes (K, 8): centre x, y (m), cosine and sine of the yaw, half the length and the width
-    (m), height of the top above the road (m)."""
+    (m), height of the bottom and of the top above the road (m)."""
     foot = np.empty((len(box), COLUMNS), np.float32)
     for k in range(len(box)):
         foot[k, X], foot[k, Y], foot[k, COS], foot[k, SIN] = box[k, 0], box[k, 1], 1.0, 0.0
         foot[k, HALF_LENGTH], foot[k, HALF_WIDTH] = np.float32(0.5) * box[k, 3], np.float32(0.5) * box[k, 4]
-        foot[k, TOP] = box[k, 7] + box[k, 5]
+        foot[k, BOTTOM], foot[k, TOP] = box[k, 7], box[k, 7] + box[k, 5]
         if box[k, 6] != 0.0:  # most clusters are a single return
             foot[k, COS], foot[k, SIN] = np.cos(box[k, 6]), np.sin(box[k, 6])
     return foot
@@ -173,6 +174,8 @@ def _fits_one_vehicle(foot: np.ndarray, members: np.ndarray, a: int, b: int, gap
     top = foot[members, TOP].max()
     large = LARGE_TOP_M >= top > SMALL_TOP_M
     if top > LARGE_TOP_M or gap > (LARGE_GAP_M if large else SMALL_GAP_M):
+        return False
+    if max(foot[a, BOTTOM], foot[b, BOTTOM]) - min(foot[a, TOP], foot[b, TOP]) > HANGING_GAP_M:
         return False
     if large and _has_whole_car(foot, members):
         return False

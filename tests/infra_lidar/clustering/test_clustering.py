@@ -106,6 +106,17 @@ def test_the_two_ends_of_a_hidden_bus_are_joined_and_a_cyclist_before_it_is_not(
     assert not rider & one
 
 
+def test_a_sign_that_hangs_beside_the_end_of_a_car_is_not_its_own():
+    """Half a metre beside it and more than that above it; as seen on a labelled street."""
+    end, sign = solid(20, -4.0, 1.5, 0.7, 0.3, 1.1, n=60), solid(18.5, -4.0, 0.6, 0.4, 2.3, 2.9, n=30)
+    found, owner = _cluster(end, sign)
+    cluster = found.cluster_id(len(owner))
+    of_end, of_sign = (np.bincount(cluster[owner == k] + 1).argmax() - 1 for k in (0, 1))
+    assert of_end != of_sign
+    assert np.mean(cluster[owner == 0] == of_end) > 0.9
+    assert np.mean(owner[cluster == of_end] == 0) > 0.9
+
+
 def test_people_beside_a_parked_car_are_not_joined_to_it():
     found, owner = _cluster(solid(12, 0, 4.3, 1.8, 0.2, 1.5), solid(12, 1.6, 0.5, 0.5, 0.2, 1.7))
     car, person = _own(found, owner)
