@@ -1,7 +1,8 @@
 """Fragments of vehicles merged: behind other objects a vehicle falls into clusters that belong together.
 
 Clusters are joined in the order of the gap between them, as long as the whole still fits one vehicle: a small one, or
-a large one if it is tall. A wide gap is bridged along the vehicle only. What looks like a person is left alone.
+a large one if it is tall. A wide gap is bridged along the vehicle only. What hangs well above a
+fragment is not joined with it, and what looks like a person is left alone.
 """
 
 from __future__ import annotations
