@@ -19,20 +19,30 @@ _LONG_M = 2.0  # smaller boxes have no reliable direction
 
 @kernel
 def record_trail(tracks: np.ndarray, slot: int) -> None:
-    """Write centre, axis-parallel half extents and yaw of every track (N,) into a slot of its trail."""
+    """Write the box of every track (N,) into a slot of its trail."""
     for t in range(len(tracks)):
-        track = tracks[t]
-        c, s, place = abs(math.cos(track.yaw)), abs(math.sin(track.yaw)), track.trail[slot]
-        place[0], place[1] = track.mean[0], track.mean[1]
-        place[2] = 0.5 * (c * track.size[0] + s * track.size[1])
-        place[3] = 0.5 * (s * track.size[0] + c * track.size[1])
-        place[4] = track.yaw
+        _write_box(tracks[t].trail[slot], tracks[t].mean, tracks[t].size, tracks[t].yaw)
 
 
 @kernel
-def judge_movement(tracks: np.ndarray, time: FrameTime, settings: TrackingSettings) -> None:
-    """Add this frame to the trails and decide which of the tracks (N,) move, in place."""
+def _write_box(place: np.ndarray, centre: np.ndarray, size: np.ndarray, yaw: float) -> None:
+    """Write one entry of a trail (5,): centre, axis-parallel half extents (m) and yaw (rad) of a box."""
+    c, s = abs(math.cos(yaw)), abs(math.sin(yaw))
+    place[0], place[1] = centre[0], centre[1]
+    place[2] = 0.5 * (c * size[0] + s * size[1])
+    place[3] = 0.5 * (s * size[0] + c * size[1])
+    place[4] = yaw
+
+
+@kernel
+def judge_movement(tracks: np.ndarray, detections: np.ndarray, time: FrameTime, settings: TrackingSettings) -> None:
+    """Add this frame to the trails and decide which of the tracks (N,) move, in place.
+
+    A track begins to move only if its detection, of the (K,) of this frame, has shifted too: a wrong velocity carries
+    the track itself away from where its detections are.
+    """
     record_trail(tracks, time.trail_slot)
+    measured = np.empty(5)
     for t in range(len(tracks)):
         track = tracks[t]
         hit = track.detection >= 0
@@ -43,15 +53,18 @@ def judge_movement(tracks: np.ndarray, time: FrameTime, settings: TrackingSettin
         if settings.movement_m == 0.0:
             track.moving = True
         elif hit and steps >= 3 and max(track.hit_streak, min(track.hits, track.frames) - 2) >= 4:
-            track.moving = _moves(track, time.trail_slot, steps, settings.movement_m)
+            detection = detections[track.detection]
+            _write_box(measured, detection.position, detection.size, detection.yaw)
+            track.moving = _moves(track, measured, time.trail_slot, steps, settings.movement_m)
 
 
 @kernel
-def _moves(track: TrackRecord, slot: int, steps: int, movement_m: float) -> bool:
+def _moves(track: TrackRecord, measured: np.ndarray, slot: int, steps: int, movement_m: float) -> bool:
     """Whether the edges of the box have shifted over the last ``steps`` frames, by more than ``movement_m``, the jitter
     of the box and three sigma, on a fairly straight way and not in one jump.
 
-    A track that moves already needs half of that shift only.
+    ``measured`` (5,): box of the detection; its edges have to have shifted as far. A track that moves already needs
+    half of the shift of the track only.
     """
     now, then = track.trail[slot], track.trail[(slot - steps) % TRAIL]
     displacement = _edge_displacement(now, then)
@@ -63,7 +76,7 @@ def _moves(track: TrackRecord, slot: int, steps: int, movement_m: float) -> bool
     if track.visibility <= _MIN_VISIBILITY or track.static_score > _MAX_STATIC_SCORE:
         return False
     well_observed = steps >= 5 and min(track.hits, track.frames) >= 6
-    if displacement <= (needed if well_observed else 2.0 * needed):
+    if displacement <= (needed if well_observed else 2.0 * needed) or _edge_displacement(measured, then) <= needed:
         return False
     path = largest = 0.0
     for k in range(steps):

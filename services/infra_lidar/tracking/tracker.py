@@ -63,7 +63,7 @@ class MultiObjectTracker:
         # 4. Update the matched tracks; judge which of all move.
         tracks["detection"] = -1
         update_tracks(tracks, detections, matches, time, settings)
-        judge_movement(tracks, time, settings)
+        judge_movement(tracks, detections, time, settings)
 
         # 5. Confirm and end tracks; initiate new ones at the detections that are left.
         tracks = _select(tracks, manage_tracks(tracks, detections, time, config))

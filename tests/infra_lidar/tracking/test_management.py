@@ -111,6 +111,16 @@ def test_a_parked_car_that_is_being_uncovered_does_not_move() -> None:
         assert [np.hypot(*track.velocity_mps[:2]) > 1.0 for track in tracks] == [False] * len(tracks)
 
 
+def test_a_hedge_that_falls_into_other_pieces_in_every_turn_does_not_move() -> None:
+    """The first piece's track gets a velocity from the next piece and runs ahead of all of them."""
+    turns = [[(3.0, 5.0), (-1.0, 3.0), (1.0, 2.0)], [(2.0, 2.0), (-1.0, 5.0), (4.0, 4.0)], [(3.0, 5.0)]]
+    tracker = MultiObjectTracker(TrackingConfig())
+    for number in range(12):
+        seen = boxes(*[(x, 0.0, length, 2.0, "large_vehicle") for x, length in turns[number % 3]])
+        tracks = tracker.update(T0_NS + number * 100_000_000, seen)
+        assert [track.velocity_mps for track in tracks] == [(0.0, 0.0, 0.0)] * len(tracks)
+
+
 def test_a_small_kitti_drive_moves_as_one(recording) -> None:
     """Parked cars move backwards at the vehicle's speed, all alike, and keep their ids."""
     config = InfraLidarConfig(background=BackgroundConfig(enabled=False))
