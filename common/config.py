@@ -122,11 +122,6 @@ def _without_secrets(value: Any) -> Any:
     return {key: "" if key in SECRETS else _without_secrets(inner) for key, inner in value.items()}
 
 
-def default_text(config_type: type[C]) -> dict[str, Any]:
-    """The shipped defaults as a plain mapping, for documentation and tests."""
-    return typing.cast(dict[str, Any], msgspec.to_builtins(config_type()))
-
-
 def _read(path: Path) -> tuple[dict[str, Any], str]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8")), str(path)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.geometry import invert, rotation_between, rotation_rpy, transform
+from common.geometry import rotation_between, rotation_rpy, transform
 from spotter_sim.solids import CYLINDER, FOLIAGE, Solids, box, join, limbs, solid
 
 
@@ -93,11 +93,6 @@ class Scene:
         """(4, 4) truth of the levelling: shortest rotation of the road normal to z, road plane at z = 0."""
         rotation = rotation_between(self.road_normal_sensor, np.array([0.0, 0.0, 1.0]))
         return transform(rotation, np.array([0.0, 0.0, self.sensor_height_m]))
-
-    @property
-    def T_level_map(self) -> np.ndarray:
-        """(4, 4) from the map into the levelled frame: truth positions as the tracker ought to report them."""
-        return self.T_level_sensor @ invert(self.T_map_pole)
 
 
 def wall(x_m: tuple[float, float], y_m: tuple[float, float], height_m: float) -> Solids:

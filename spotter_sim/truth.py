@@ -64,7 +64,7 @@ class RadarTruth:
 
 @dataclass(frozen=True)
 class Truth:
-    """Levels are None and lists empty for a sensor that cannot see."""
+    """Levels and zones are None, targets empty for a sensor that cannot see."""
 
     t_s: float
     lidar_state: SensorState
@@ -76,7 +76,6 @@ class Truth:
     verdict: Level  # after the decision rules, without the timed suppression
     zones: ZoneTruth | None
     radar_targets: tuple[RadarTruth, ...]
-    camera_boxes: tuple[TrueBox, ...]
     contact_s: float | None = None  # of a vehicle that drives; None = not within ``HORIZON_S``, or it has no motion
 
 
@@ -93,7 +92,7 @@ def expect(name: str | Scenario, t_s: float) -> Truth:
     verdict = decide(lidar_level, radar_level, camera_level, (lidar, radar, camera))
     contact = contact_s(world, HORIZON_S) if world.drives else None
     return Truth(
-        world.t_s, lidar, radar, camera, lidar_level, radar_level, camera_level, verdict, zones, targets, seen, contact
+        world.t_s, lidar, radar, camera, lidar_level, radar_level, camera_level, verdict, zones, targets, contact
     )  # fmt: skip
 
 

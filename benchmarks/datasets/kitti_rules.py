@@ -70,13 +70,12 @@ class Scores:
 
 @dataclass(frozen=True)
 class Summary:
-    """Averages over the cuts, shares of 1, and the cut with the best MOTA."""
+    """Averages over the cuts, shares of 1, and the scores at the cut with the best MOTA."""
 
     samota: float
     amota: float
     amotp: float
     best: Scores
-    best_cut: float
 
 
 def prepare(labels: Rows, results: Rows, kind: str) -> Sequence:
@@ -104,7 +103,7 @@ def evaluate(sequences: list[Sequence], min_overlap: float = 0.25) -> Summary:
     cuts = score_cuts(everything.matched_scores, everything.truths)
     rows = [at_cut(sequences, cut, min_overlap) for cut in cuts]
     if not rows:
-        return Summary(0.0, 0.0, 0.0, everything, -np.inf)
+        return Summary(0.0, 0.0, 0.0, everything)
     recalls = (np.arange(len(rows)) + 1) / CUTS
     best = int(np.argmax([row.mota for row in rows]))
     return Summary(
@@ -112,7 +111,6 @@ def evaluate(sequences: list[Sequence], min_overlap: float = 0.25) -> Summary:
         amota=sum(row.mota for row in rows) / CUTS,
         amotp=sum(row.motp for row in rows) / CUTS,
         best=rows[best],
-        best_cut=cuts[best],
     )
 
 

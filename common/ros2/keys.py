@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 ADMIN_SPACE = "@ros2_lv"
-NO_HASH = "TypeHashNotSupported"  # what Humble writes in the place of a hash
 GID_BYTES = 16
 _ATTACHMENT = struct.Struct(f"<qqB{GID_BYTES}s")
 _TOPIC_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")

@@ -45,11 +45,6 @@ def type_store() -> Typestore:
     return _store()
 
 
-def known_types() -> frozenset[str]:
-    """Every type that can be read and written."""
-    return frozenset(_store().fielddefs)
-
-
 def type_hash(name: str) -> str:
     """``RIHS01_`` and 64 hex digits. Raises ``KeyError`` for a type that is not known."""
     return _store().hash_rihs01(name)

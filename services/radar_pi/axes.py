@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.config import ConfigError
-from services.radar_pi.config import AzimuthConfig, ProcessingConfig, WaveformConfig
+from services.radar_pi.config import ProcessingConfig, WaveformConfig
 
 LEAST_BINS = 4  # that are looked at
 C_MPS = 299_792_458.0
@@ -109,8 +109,3 @@ def _too_few_bins(processing: ProcessingConfig, range_m: np.ndarray, near: int) 
         key, value, most_m = "range_offset_m", offset_m, most_m + offset_m
     allowed = f"expected at most {math.floor(100 * most_m) / 100:.2f}"
     return f"[processing] {key} = {value}: {allowed}, {least} before this waveform's {range_m[-1] + offset_m:.2f} m"
-
-
-def azimuth_limit_rad(azimuth: AzimuthConfig, wavelength_m: float) -> float:
-    """The largest unambiguous azimuth of the receiver pair."""
-    return float(np.arcsin(min(1.0, wavelength_m / (2 * azimuth.spacing_m))))

@@ -57,11 +57,6 @@ def drill(
     raise SystemExit(0 if all(result.ok for result in results) else 1)
 
 
-def add_drill(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command()(drill)
-
-
 def _drill_running(plan: DrillPlan, vehicle: str, connect: str, namespace: str) -> list[Result]:
     with bus(connect, namespace) as session:
         hosts = _hosts_of(vehicle, vehicles_on_bus(session))

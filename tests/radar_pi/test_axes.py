@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.config import ConfigError, load
-from services.radar_pi.axes import C_MPS, azimuth_limit_rad, derive_axes
-from services.radar_pi.config import AzimuthConfig, ProcessingConfig, RadarConfig, WaveformConfig
+from services.radar_pi.axes import C_MPS, derive_axes
+from services.radar_pi.config import ProcessingConfig, RadarConfig, WaveformConfig
 
 BENCH = load(RadarConfig, Path(__file__).parents[2] / "services" / "radar_pi" / "config_3rx_5m.toml")
 
@@ -88,8 +88,3 @@ def test_range_offset_moves_the_axis() -> None:
     moved = derive_axes(WaveformConfig(), ProcessingConfig(range_offset_m=0.05))
     assert moved.range_m[10] == pytest.approx(plain.range_m[10] - 0.05)
     assert moved.to_range_m(np.array([10.0]), np.array([0.0]))[0] == pytest.approx(moved.range_m[10])
-
-
-def test_half_a_wavelength_of_spacing_sees_to_both_sides() -> None:
-    assert azimuth_limit_rad(AzimuthConfig(spacing_m=2.5e-3), 5.0e-3) == pytest.approx(np.pi / 2)
-    assert azimuth_limit_rad(AzimuthConfig(spacing_m=5.0e-3), 5.0e-3) == pytest.approx(np.radians(30.0))

@@ -35,8 +35,6 @@ def test_mount_and_ground(kind):
         slope = np.hypot(scene.ground.x_slope, scene.ground.y_slope)
         least, most = SLOPES.get(kind, (0.01, 0.03))
         assert least <= slope <= most
-        upright = scene.T_level_map @ np.linalg.inv(scene.T_level_sensor @ np.linalg.inv(scene.T_map_pole))
-        np.testing.assert_allclose(upright, np.eye(4), atol=1e-9)
 
 
 def test_about_as_many_objects_as_asked_of_every_kind():

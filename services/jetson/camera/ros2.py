@@ -14,13 +14,12 @@ import numpy as np
 from common.bus.status import Report
 from common.config import ZenohConfig
 from common.ros2.reader import TopicReader
-from common.ros2.source import ROS2_PARAMETERS, ros_session, ros_topic
+from common.ros2.source import ros_session, ros_topic
 from common.source_url import SourceUrl
 from services.jetson.camera.frames import Frame, Source
 
 RAW, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 TYPES = (RAW, COMPRESSED)
-PARAMETERS = ROS2_PARAMETERS
 NODE = "spotter_camera"
 LARGEST_SIDE_PX = 16384
 # By sensor_msgs/image_encodings: bytes of a pixel, and the way to BGR; None = it is that.

@@ -11,14 +11,13 @@ from common.bus.status import Report
 from common.clock import monotonic_s, utc_ns
 from common.config import ZenohConfig
 from common.ros2.reader import TopicReader
-from common.ros2.source import ROS2_PARAMETERS, ros_session, ros_topic
+from common.ros2.source import ros_session, ros_topic
 from common.source_url import SourceUrl
 from services.jetson.ego.config import ImuConfig
 from services.jetson.ego.measurement import Measurement, Rejected
 
 ODOMETRY, IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 TYPES = (ODOMETRY, IMU)
-PARAMETERS = ROS2_PARAMETERS
 NODE = "spotter_ego"
 SILENCE_S = 1.0
 WAITING = 64  # an IMU's messages come faster than they are taken

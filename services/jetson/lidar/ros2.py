@@ -17,12 +17,11 @@ from common.config import ConfigError
 from common.geometry import wrap_angle
 from common.messages import LaserScan
 from common.ros2.reader import Arrived, TopicReader
-from common.ros2.source import ROS2_PARAMETERS, ros_session, ros_topic
+from common.ros2.source import ros_session, ros_topic
 from common.source_url import SourceUrl
 from services.jetson.lidar.config import LidarConfig, MountingSection
 
 SCAN = "sensor_msgs/msg/LaserScan"
-PARAMETERS = (*ROS2_PARAMETERS, "confidence")
 MOST_BEAMS = 100_000
 BRIGHT = 255  # confidence of a return whose strength is not known: it is believed
 NODE = "spotter_lidar"

@@ -16,7 +16,6 @@ from services.radar_pi.chip.registers import WORD_BYTES
 
 HEADER_WORDS = 3
 COUNTER_SPAN = 1 << 12
-UNDERFLOW_SAMPLE = 0xFFF
 LFSR_START = 0x001
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
+import msgspec
 import pytest
 
-from common.config import ConfigError, default_text, load
+from common.config import ConfigError, load
 from services.jetson.fusion import config as fusion_config
 from services.jetson.fusion.config import FusionConfig
 
@@ -20,7 +21,7 @@ def test_the_file_loads_and_equals_the_defaults() -> None:
 
 def test_the_file_lists_every_key() -> None:
     written = tomllib.loads(FILE.read_text())
-    defaults = default_text(FusionConfig)
+    defaults = msgspec.to_builtins(FusionConfig())
 
     def keys(table: dict[str, object], prefix: str = "") -> set[str]:
         found = set()

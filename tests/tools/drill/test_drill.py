@@ -24,7 +24,7 @@ from common.config import ConfigError
 from common.messages import RadarTracks, SensorHealth, SystemHealth, Verdict, VerdictInput
 from common.system_messages import VerdictClaim
 from spotter_sim.world import scenario_named
-from spotter_tools.cli.drill import add_drill
+from spotter_tools.cli import drill as command_line
 from spotter_tools.drill.fault_plan import DEFAULT_FILE, Expected, Fault, load_plan
 from spotter_tools.drill.link_proxy import LinkProxy
 from spotter_tools.drill.monitor import broken_rules
@@ -243,7 +243,7 @@ def test_a_slow_link_carries_everything_later_in_order_and_a_healed_one_at_once(
 
 def test_the_command_lists_and_refuses() -> None:
     app = Typer()
-    add_drill(app)
+    app.command()(command_line.drill)
     listed = CliRunner().invoke(app, ["--list"])
     assert listed.exit_code == 0
     assert "radar process killed" in listed.output

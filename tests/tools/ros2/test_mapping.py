@@ -14,7 +14,7 @@ from common import messages as m
 from common.config import public
 from common.geometry import wrap_angle
 from common.ros2.reader import Arrived
-from common.ros2.types import from_cdr, known_types, ns_of, to_cdr
+from common.ros2.types import from_cdr, ns_of, to_cdr, type_store
 from services.infra_lidar.input.pointcloud2 import points_of_message
 from services.jetson.camera.config import CameraConfig
 from services.jetson.camera.ros2 import picture_of
@@ -243,7 +243,7 @@ def test_a_nose_that_points_up_is_a_turn_about_minus_y() -> None:
 
 def test_names_are_legal_and_tell_what_is_not_live() -> None:
     rows = (*ROWS, AUTOWARE_ROW, TF_ROW)
-    assert {row.type for row in rows} <= known_types()
+    assert {row.type for row in rows} <= set(type_store().fielddefs)
     assert len({(row.name("h", "live"), row.topic) for row in rows}) == len(rows)
     assert ROWS[0].name("jetson0", "live") == "/spotter/jetson0/lidar/scan"
     assert ROWS[0].name("jetson0", "simulated") == "/spotter_simulated/jetson0/lidar/scan"

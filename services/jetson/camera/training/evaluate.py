@@ -54,7 +54,6 @@ class Error(NamedTuple):
     plain_m: float
     truncated: bool
     nearest_m: float  # the near end of what is possible
-    true_nearest_m: float  # of the part that is in the picture
 
     @property
     def ours(self) -> float:
@@ -142,8 +141,7 @@ def compare(
         _, top, _, bottom = detection.box_xyxy_px
         plain_m = lens.f_y_px * heights_m.get(detection.label, heights_m[wanted]) / (bottom - top)
         near_m = detection.distance_m if detection.nearest_m is None else detection.nearest_m
-        truth_m = nearest_in_view_m(labels[k].solid, lens)
-        errors.append(Error(labels[k], detection.distance_m, plain_m, detection.truncated, near_m, truth_m))
+        errors.append(Error(labels[k], detection.distance_m, plain_m, detection.truncated, near_m))
     return errors
 
 
