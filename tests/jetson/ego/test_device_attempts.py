@@ -8,8 +8,8 @@ from common.config import ConfigError
 from common.source_url import parse_source
 from services.jetson.ego.config import EgoConfig
 from services.jetson.ego.devices import Encoder, Imu
-from services.jetson.ego.imu_emulator import EmulatedImu
 from services.jetson.ego.source import SCHEMES
+from tests.jetson.ego.imu_emulator import EmulatedImu
 
 
 def test_every_attempt_to_reach_a_gyroscope_lets_go_of_the_bus() -> None:

@@ -22,11 +22,11 @@ from common.source_url import parse_source, source_kind
 from services.jetson.ego.config import CanConfig, EgoConfig, EncoderConfig, LimitsConfig, VescConfig
 from services.jetson.ego.devices import CanBus, Device, Encoder, GpioEdges, Imu, SerialLines, Vesc
 from services.jetson.ego.imu_chips import CHIPS
-from services.jetson.ego.imu_emulator import EmulatedImu
 from services.jetson.ego.line_protocol import Line, line_of
 from services.jetson.ego.pipeline import Motion
 from services.jetson.ego.source import SCHEMES, measured
 from services.jetson.ego.vesc import REQUEST
+from tests.jetson.ego.imu_emulator import EmulatedImu
 from tests.jetson.ego.test_wire import DBC, answer
 
 Until = Callable[..., None]

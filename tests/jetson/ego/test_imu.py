@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from services.jetson.ego.gyro import UNKNOWN_BIAS_RADPS, GyroBias
 from services.jetson.ego.imu_chips import CHIPS, WrongChip, open_chip
-from services.jetson.ego.imu_emulator import EmulatedImu
+from tests.jetson.ego.imu_emulator import EmulatedImu
 
 
 def nap(seconds: float) -> None:
