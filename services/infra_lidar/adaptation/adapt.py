@@ -1,4 +1,4 @@
-"""From a recording to the forest of its site: record, label, grow, and judge on the last part of the recording."""
+"""Makes a site's forest from a recording: record, label, train, and compare on the last part of the recording."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from services.infra_lidar.input.source import open_source, surveyed_pose
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.warm_up import warm_up
 
-LEARN_SHARE = 0.75  # of the recording; what comes later is held out
+LEARN_SHARE = 0.75  # of the recording; the rest is held out for the comparison
 
 
 class Outcome(NamedTuple):
-    """The site's forest, how the one in use and the new one do on what was held out, and why it is not accepted."""
+    """The site's forest, the figures of the forest in use and of the new one on held-out data, and objections to it."""
 
     forest: Forest
     learned: SiteLabels
@@ -42,10 +42,9 @@ class Outcome(NamedTuple):
 
 
 def record_site(config: InfraLidarConfig, seconds: float) -> SiteRecord:
-    """Run the pipeline over the source for so long, or until it ends or falls silent.
+    """Run the pipeline over the source for ``seconds``, or until the source ends or no frame comes for a while.
 
-    Nothing is learned as background meanwhile: clutter has to be seen to be learned. Where the clock is set, the stamps
-    go on as if it had not been.
+    Background subtraction is off, so that clutter stays in the clusters. Clock steps are removed from the stamps.
 
     Raises:
         ValueError: no frame came, or no cluster was seen.
@@ -54,7 +53,7 @@ def record_site(config: InfraLidarConfig, seconds: float) -> SiteRecord:
     config = msgspec.structs.replace(config, T_map_sensor=surveyed_pose(config), background=whole)
     pipeline = InfraLidarPipeline(config)
     recorder = SiteRecorder(FEATURES, config.ground.range_max_m)
-    warm_up(config, lambda text: None)  # else compiling would be part of the time
+    warm_up(config, lambda text: None)  # so that compilation does not count as recording time
     report, elapsed = Report("adapt"), Elapsed()
     first_ns: int | None = None
     for stamp_ns, frame in awaited(open_source(config, report), report):
@@ -67,36 +66,38 @@ def record_site(config: InfraLidarConfig, seconds: float) -> SiteRecord:
 
 
 def split(record: SiteRecord, labels: SiteLabels) -> tuple[SiteLabels, SiteLabels, int]:
-    """What is learned from, what is held out, and the number of pictures of the latter.
+    """The labels for training, the held-out labels, and the number of held-out revolutions.
 
-    Held out is the last part of the recording; a road user that was there before its begin teaches only.
+    The last part of the recording is held out. A road user that was seen before is used for training only.
     """
-    first, last = int(record.pictures[0]), int(record.pictures[-1])
+    first, last = int(record.sampled_ns[0]), int(record.sampled_ns[-1])
     begin_ns = first + LEARN_SHARE * (last - first)
     late = record.stamp_ns[labels.rows] >= begin_ns
     is_user = labels.labels != BACKGROUND
     known = np.isin(labels.groups, labels.groups[~late & is_user])
     parts = (SiteLabels(*(column[rows] for column in labels)) for rows in (~late, late & ~known))
-    return *parts, int(np.sum(record.pictures >= begin_ns))  # type: ignore[return-value]
+    return *parts, int(np.sum(record.sampled_ns >= begin_ns))  # type: ignore[return-value]
 
 
 def divide(record: SiteRecord) -> tuple[SiteLabels, HeldOut]:
-    """Label a recording: what is learned from, and what is held out."""
-    learned, late, pictures = split(record, label_site(record))
-    return learned, HeldOut(record.x[late.rows], late.labels, late.groups, pictures)
+    """Label a recording; returns the labels for training and the held-out clusters."""
+    learned, late, revolutions = split(record, label_site(record))
+    return learned, HeldOut(record.x[late.rows], late.labels, late.groups, revolutions)
 
 
 def learn_site(
     config: InfraLidarConfig, record: SiteRecord, in_use: Forest, generated: tuple[Examples, Examples]
 ) -> Outcome:
-    """Grow the site's forest from the first part of a recording and judge it on the last.
+    """Train the site's forest on the first part of a recording and evaluate it on the last.
 
-    generated: to grow with, and to see what is forgotten.
+    generated: generated clusters for training, and others to measure what the new forest has unlearned.
     """
     learned, held_out = divide(record)
     to_grow, unseen = generated
-    story = {"source": "generated clusters and those of a site", "site_clusters": np.bincount(learned.labels).tolist()}
-    forest = grow(join(to_grow, site_examples(record, learned)), {**story, "instead_of": in_use.digest})
+    counts = np.bincount(learned.labels).tolist()
+    provenance = {"source": "generated clusters and those of a site", "site_clusters": counts}
+    provenance["instead_of"] = in_use.digest
+    forest = grow(join(to_grow, site_examples(record, learned)), provenance)
     sure = config.classifier.min_confidence
     figures = [
         judge(called(one, held_out.x, FEATURES, sure), held_out, called(one, unseen.x, FEATURES, sure), unseen.labels)

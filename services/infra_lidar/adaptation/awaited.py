@@ -1,4 +1,4 @@
-"""A source that may fall silent, read so that nobody waits for it for ever."""
+"""Reads a source in a thread; stops when no frame comes within a time-out."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-PATIENCE_S = 20.0  # without a frame: then the source is silent
+PATIENCE_S = 20.0  # time-out: without a frame for this long the source counts as silent
 
 
 class _End(NamedTuple):
@@ -22,22 +22,22 @@ class _End(NamedTuple):
 
 
 def awaited(frames: Iterator[T], report: Report, patience_s: float = PATIENCE_S) -> Iterator[T]:
-    """The frames, read in a thread of their own; ends where none comes for ``patience_s``.
+    """The frames, read in a separate thread; ends when no frame comes for ``patience_s``.
 
-    report: what the source tells of itself.
+    report: the status that the source reports.
 
     Raises:
-        ValueError: not one came; the text is what the source said.
-        Exception: what the source raises.
+        ValueError: no frame came at all; the text is the reason that the source reported.
+        Exception: an error of the source is raised again.
     """
-    arrived: queue.Queue[T | _End] = queue.Queue(1)  # a file is read no faster than its frames are taken
+    arrived: queue.Queue[T | _End] = queue.Queue(1)  # a file is read only as fast as its frames are consumed
 
     def read() -> None:
         error: Exception | None = None
         try:
             for frame in frames:
                 arrived.put(frame)
-        except Exception as raised:  # noqa: BLE001  raised again where the frames are taken
+        except Exception as raised:  # noqa: BLE001  raised again in the thread that consumes the frames
             error = raised
         arrived.put(_End(error))
 

@@ -1,4 +1,4 @@
-"""``spotter-infra-lidar adapt``: learn the site, check what was learned, keep it or refuse it, undo it."""
+"""``spotter-infra-lidar adapt``: train a forest for the site, accept it if it is better, or remove it again."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def adapt(
         False
     ),
 ) -> None:
-    """Learn this site from its own tracks, without labels; what is not better on held-out moments is refused."""
+    """Train a forest for this site from its own tracks, without labels; refused unless better on held-out data."""
     setup_logging("infra_lidar")
     config = load_config(InfraLidarConfig, *context.obj)
     path = output or Path(config.classifier.site_model or DEFAULT_FILE)
@@ -79,14 +79,15 @@ def _refuse(objections: list[str]) -> None:
 
 
 def _seen(record: SiteRecord) -> str:
-    length_s = (record.pictures[-1] - record.pictures[0]) * 1e-9
-    return f"{length_s:.0f} s: {len(record.pictures)} pictures, {len(record.x)} clusters, {len(record.tracks)} tracks"
+    length_s = (record.sampled_ns[-1] - record.sampled_ns[0]) * 1e-9
+    sampled = f"{len(record.sampled_ns)} sampled revolutions"
+    return f"{length_s:.0f} s: {sampled}, {len(record.x)} clusters, {len(record.tracks)} tracks"
 
 
 def _table(outcome: Outcome) -> list[str]:
-    """What was learned from, and both forests on what was held out."""
+    """The clusters used for training, and the figures of both forests on held-out data."""
     learned, held_out = outcome.learned, outcome.held_out
-    lines = [f"{'labelled themselves':<22}{'clusters':>10}{'road users':>12}{'held out':>10}"]
+    lines = [f"{'labelled':<22}{'clusters':>10}{'road users':>12}{'held out':>10}"]
     for c, name in enumerate(CLASSES):
         mine = learned.labels == c
         groups = "" if c == BACKGROUND else str(len(np.unique(learned.groups[mine])))
@@ -94,7 +95,7 @@ def _table(outcome: Outcome) -> list[str]:
     lines.append(f"{'held out':<34}{'in use':>10}{'of the site':>12}")
     before, after = outcome.before, outcome.after
     lines.append(f"{'clusters of road users called right':<34}{before.right:9.1%}{after.right:11.1%}")
-    lines.append(f"{'clutter called a road user, a picture':<34}{before.false:7.2f}{after.false:11.2f}")
+    lines.append(f"{'false road users per revolution':<34}{before.false:7.2f}{after.false:11.2f}")
     for c, name in enumerate(CLASSES):
         if c != BACKGROUND:
             shown = f"generated streets, {name} called right"

@@ -1,8 +1,8 @@
-"""Labels from a recording without labels: who drove or walked through is a road user, what never moved is none. Pure.
+"""Labels from an unlabelled recording: tracks that passed through are road users, static clusters are background. Pure.
 
-A track that has moved far, lived long and was mostly called one class is of that class in all of its moments, the hard
-ones included, in which the forest was unsure or wrong. A cluster where something stands in nearly all pictures, and
-that no moving track has, is clutter. What looks like a parked car or a waiting person is neither.
+A track that moved far, lived long and was mostly classified as one class gets that class in all of its revolutions,
+also in those where the forest was unsure or wrong. A cluster in cells that are occupied in nearly all revolutions, and
+that belongs to no moving track, is clutter. What looks like a parked car or a waiting person gets no label.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from services.infra_lidar.adaptation.recorder import SiteRecord, TrackStory
+from services.infra_lidar.adaptation.recorder import SiteRecord, TrackHistory
 from services.infra_lidar.classification.classes import BACKGROUND, CLASSES
 
 MOVED_M, LIVED_S, MIN_HITS = 8.0, 1.5, 10
-MOVING_SHARE = 0.5  # of its revolutions in which a track moved
-AGREED_SHARE = 0.7  # of the votes for road users that one class must have
-STOOD_M = 1.0  # a track that seemed to move, but no farther, stands
-STANDING = 0.7  # share of a cluster's points that lie where something always is
-STANDING_S = 30.0  # shorter recordings do not tell what stands from what waits
-PLACE_M = 2.0  # clusters nearer than about that show one thing
+MOVING_SHARE = 0.5  # least share of its revolutions in which a track moved
+AGREED_SHARE = 0.7  # least share of the votes for road users that one class must have
+STOOD_M = 1.0  # a track that moved no farther than this counts as standing
+STANDING = 0.7  # least share of a cluster's points that lie in always-occupied cells
+STANDING_S = 30.0  # in shorter recordings static and waiting objects cannot be distinguished
+PLACE_M = 2.0  # clusters closer together than this show the same object
 _SMALL = [CLASSES.index(name) for name in ("car", "cyclist", "pedestrian")]
 _PARKED_M = (6.0, 2.4, 2.3)  # length, width and height that a parked car or a waiting person does not exceed
 
@@ -34,8 +34,8 @@ class SiteLabels(NamedTuple):
     groups: np.ndarray
 
 
-def class_of(track: TrackStory) -> int | None:
-    """The class of a track that can be trusted; None of the others.
+def class_of(track: TrackHistory) -> int | None:
+    """The class of a track that fulfils all conditions above; None for others.
 
     Background does not move: its votes do not count for or against a class.
     """
@@ -51,7 +51,7 @@ def class_of(track: TrackStory) -> int | None:
 
 
 def label_site(record: SiteRecord) -> SiteLabels:
-    """The clusters of a recording that label themselves."""
+    """Labels for the clusters of a recording that can be labelled by these rules."""
     trusted = {number: found for number, track in record.tracks.items() if (found := class_of(track)) is not None}
     labels = np.full(len(record.track), -1, np.int64)
     groups = np.full(len(record.track), -1, np.int64)
@@ -67,16 +67,16 @@ def label_site(record: SiteRecord) -> SiteLabels:
 
 
 def _clutter(record: SiteRecord) -> np.ndarray:
-    """(K,) bool: stands where something always is, is of no track that moved, and is not like a parked car."""
-    if (record.pictures[-1] - record.pictures[0]) * 1e-9 < STANDING_S:
+    """(K,) bool: in always-occupied cells, of no track that moved, and not like a parked car."""
+    if (record.sampled_ns[-1] - record.sampled_ns[0]) * 1e-9 < STANDING_S:
         return np.zeros(len(record.track), bool)
-    strolled = [number for number, track in record.tracks.items() if track.moving_frames and track.moved_m > STOOD_M]
-    stands = (record.standing >= STANDING) & ~np.isin(record.track, strolled) & (record.track != -2)
+    moved = [number for number, track in record.tracks.items() if track.moving_frames and track.moved_m > STOOD_M]
+    stands = (record.standing >= STANDING) & ~np.isin(record.track, moved) & (record.track != -2)
     return np.asarray(stands & ~_may_be_parked(record, stands))
 
 
 def _may_be_parked(record: SiteRecord, stands: np.ndarray) -> np.ndarray:
-    """(K,) bool: at places where most of what stands has the size of a car or a person and is called one."""
+    """(K,) bool: at places where most static clusters have the size and the class of a car or a person."""
     size = record.box[:, 3:6]
     small = np.all(size <= _PARKED_M, axis=1) & np.isin(record.called.argmax(axis=1), _SMALL)
     _, place = np.unique(np.round(record.box[:, :2] / PLACE_M).astype(np.int64), axis=0, return_inverse=True)

@@ -1,4 +1,4 @@
-"""Grows the forest of a site from its own clusters and, so that nothing is forgotten, generated ones."""
+"""Trains the forest of a site on its own clusters and on generated ones, so that it does not unlearn other cases."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from services.infra_lidar.training.train import (
     out_of_group_shares,
 )
 
-FEATURES = FEATURE_NAMES  # of every example: whatever the forest in use asks for
+FEATURES = FEATURE_NAMES  # of every example: all, so that any forest in use can be evaluated
 _GROWN = FEATURE_SETS["spotter"]
 _COLUMNS = [FEATURES.index(name) for name in _GROWN]
 SEED, STREETS, BODIES = 3000, 40, 700  # generated streets from this seed on, twice as many, and bodies per class
-UNSEEN_SEED, UNSEEN_STREETS = 6000, 6  # streets that no forest was grown from: nothing may be forgotten there
+UNSEEN_SEED, UNSEEN_STREETS = 6000, 6  # streets that no forest was trained on, to measure what was unlearned
 SETTINGS = ForestSettings(seed=SEED, background=BACKGROUND_WEIGHT, balanced=False)
 """Not refined: with the few clusters of a small site, a refined forest unlearned its clutter less well."""
-GROUP_WEIGHT = 4.0  # clusters of a street that one road user or place of the site is worth, at the most
+GROUP_WEIGHT = 4.0  # greatest weight of one road user or place of the site; a cluster of a street weighs 1
 FOLDS = 3
 
 
@@ -51,22 +51,22 @@ def generated_examples(config: InfraLidarConfig) -> Examples:
 
 
 def unseen_examples(config: InfraLidarConfig) -> Examples:
-    """Streets of other seeds, to see what is forgotten."""
+    """Streets of other seeds, to measure what the new forest has unlearned."""
     streets = scene_clusters(range(UNSEEN_SEED, UNSEEN_SEED + UNSEEN_STREETS), Steps.of(config), frames=1)
     return _examples(streets, np.ones(len(streets)))
 
 
 def site_examples(record: SiteRecord, labels: SiteLabels) -> Examples:
-    """The clusters that labelled themselves; those of one group share ``GROUP_WEIGHT``."""
+    """The labelled clusters of the site; those of one group share ``GROUP_WEIGHT``."""
     size = np.bincount(labels.groups)[labels.groups]
     weight = np.minimum(1.0, GROUP_WEIGHT / size)
     return Examples(record.x[labels.rows], labels.labels, labels.groups, weight)
 
 
-def grow(examples: Examples, story: dict[str, Any]) -> Forest:
-    """A forest of all examples, calibrated with what trees say of groups that they have not seen.
+def grow(examples: Examples, provenance: dict[str, Any]) -> Forest:
+    """A forest of all examples, calibrated with the trees' results for groups that they were not trained on.
 
-    story: goes into the header.
+    provenance: is stored in the model's header.
     """
 
     x = examples.x[:, _COLUMNS]
@@ -77,11 +77,11 @@ def grow(examples: Examples, story: dict[str, Any]) -> Forest:
     shares = out_of_group_shares(fit, x, examples.groups, FOLDS)
     expected = expected_weight(examples.labels, examples.weight, SETTINGS.background)
     curve_x, curve_y = calibrate(shares, examples.labels, expected)
-    return flatten(fit(np.arange(len(x))), _GROWN, curve_x, curve_y, story)
+    return flatten(fit(np.arange(len(x))), _GROWN, curve_x, curve_y, provenance)
 
 
 def join(first: Examples, second: Examples) -> Examples:
-    """Both, their groups kept apart."""
+    """Both sets together; their groups stay different."""
     groups = np.concatenate((first.groups, second.groups + first.groups.max(initial=-1) + 1))
     pairs = (np.concatenate(pair) for pair in zip(first, second, strict=True))
     return Examples(*pairs)._replace(groups=groups)

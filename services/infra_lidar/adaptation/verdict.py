@@ -1,4 +1,4 @@
-"""Is the site's forest better than the one in use? On moments that it has not learned from. Pure."""
+"""Compares the site's forest with the one in use, on data that it was not trained on. Pure."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from services.infra_lidar.classification.classes import BACKGROUND, CLASSES, UNK
 from services.infra_lidar.classification.classifier import likeliest
 from services.infra_lidar.classification.forest import Forest
 
-MIN_USERS = 8  # road users that were held out: with fewer nothing can be said
-GAIN = 0.02  # of road users called right, or of the false ones a picture: less is no reason to change
-LOSS = 0.01  # of road users called right at the site, that may be lost
+MIN_USERS = 8  # held-out road users; fewer are too few for a comparison
+GAIN = 0.02  # least gain, of road users classified correctly or of false ones per revolution
+LOSS = 0.01  # of road users classified correctly at the site, that may be lost
 FORGOTTEN = 0.02  # of each class on generated streets, that may be lost
 
 
 class Figures(NamedTuple):
-    """How a forest does: right: share of the held-out clusters of road users called right, each road user counting
-    once. false: clutter called a road user, a picture. recall: (C,) share of each class called right on generated
-    streets, NaN where there are none."""
+    """Figures of a forest. right: share of the held-out clusters of road users classified correctly, each road user
+    counting once. false: clutter classified as road user, per revolution. recall: (C,) share of each class classified
+    correctly on generated streets, NaN where there are none."""
 
     right: float
     false: float
@@ -28,12 +28,12 @@ class Figures(NamedTuple):
 
 
 class HeldOut(NamedTuple):
-    """Clusters of the last part of a recording: x (K, F), labels, groups (K,), and the number of pictures."""
+    """Clusters of the last part of a recording: x (K, F), labels, groups (K,), and the number of revolutions."""
 
     x: np.ndarray
     labels: np.ndarray
     groups: np.ndarray
-    pictures: int
+    revolutions: int
 
     @property
     def users(self) -> int:
@@ -42,25 +42,25 @@ class HeldOut(NamedTuple):
 
 
 def called(forest: Forest, x: np.ndarray, names: tuple[str, ...], min_confidence: float) -> np.ndarray:
-    """(K,) index into ``LABELS`` as the service would call clusters with features (K, F), columns ``names``."""
+    """(K,) index into ``LABELS``: the service's class of clusters with features (K, F), columns ``names``."""
     probabilities = forest.class_probabilities(x[:, [names.index(name) for name in forest.features]])
     return likeliest(probabilities, min_confidence)[0]
 
 
 def judge(said: np.ndarray, held_out: HeldOut, said_unseen: np.ndarray, unseen: np.ndarray) -> Figures:
-    """Figures from what a forest said of held-out clusters (K,) and of generated ones (U,), whose classes are
+    """Figures from a forest's classes of held-out clusters (K,) and of generated ones (U,), whose true classes are
     ``unseen`` (U,)."""
     user = held_out.labels != BACKGROUND
     size = np.bincount(held_out.groups)[held_out.groups[user]]
     hit = said[user] == held_out.labels[user]
     right = float(np.sum(hit / size) / max(np.sum(1.0 / size), 1e-9))
-    false = np.sum(~user & (said != BACKGROUND) & (said != UNKNOWN)) / max(held_out.pictures, 1)
+    false = np.sum(~user & (said != BACKGROUND) & (said != UNKNOWN)) / max(held_out.revolutions, 1)
     recall = [np.mean(said_unseen[unseen == c] == c) if np.any(unseen == c) else np.nan for c in range(len(CLASSES))]
     return Figures(right, float(false), np.array(recall))
 
 
 def too_few(held_out: HeldOut) -> Iterator[str]:
-    """The objection that needs no forest."""
+    """An objection if too few road users were held out; needs no forest."""
     if held_out.users < MIN_USERS:
         yield (
             f"{held_out.users} road users moved far enough in the held-out part, {MIN_USERS} are needed: "
@@ -69,15 +69,15 @@ def too_few(held_out: HeldOut) -> Iterator[str]:
 
 
 def objections(before: Figures, after: Figures, held_out: HeldOut) -> Iterator[str]:
-    """Why the new forest is not accepted; nothing when it is."""
+    """The reasons not to accept the new forest; none when it is accepted."""
     yield from too_few(held_out)
     if after.right < before.right - LOSS:
         yield f"road users called right fall from {before.right:.1%} to {after.right:.1%}"
     if after.false > before.false:
-        yield f"false road users rise from {before.false:.2f} to {after.false:.2f} a picture"
+        yield f"false road users rise from {before.false:.2f} to {after.false:.2f} per revolution"
     fewer_false = after.false < before.false and after.false <= (1.0 - GAIN) * before.false  # 0 is not fewer than 0
     if after.right < before.right + GAIN and not fewer_false:
-        yield "it is no better: road users called right and false ones stay as they are"
+        yield "it is no better: the figures of road users called right and of false ones stay the same"
     for c, name in enumerate(CLASSES):
         if c != BACKGROUND and after.recall[c] < before.recall[c] - FORGOTTEN:
             yield f"{name} on generated streets falls from {before.recall[c]:.1%} to {after.recall[c]:.1%}"

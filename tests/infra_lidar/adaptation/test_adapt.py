@@ -13,7 +13,7 @@ from services.infra_lidar.__main__ import app
 from services.infra_lidar.adaptation.adapt import learn_site, split
 from services.infra_lidar.adaptation.awaited import awaited
 from services.infra_lidar.adaptation.labels import label_site
-from services.infra_lidar.adaptation.recorder import SiteRecord, SiteRecorder, TrackStory
+from services.infra_lidar.adaptation.recorder import SiteRecord, SiteRecorder, TrackHistory
 from services.infra_lidar.adaptation.site_forest import FEATURES, Examples, grow
 from services.infra_lidar.classification.classifier import SHIPPED_MODEL, model_path
 from services.infra_lidar.config import BackgroundConfig, CalibrationConfig, ClassifierConfig, InfraLidarConfig
@@ -37,19 +37,19 @@ def _generated(seed, n=60):
 
 
 def _site(users, seed=5):
-    """Two minutes: a barrier in each of 240 pictures, and lorries of ten clusters each that pass one by one."""
+    """Two minutes: a barrier in each of 240 revolutions, and lorries of ten clusters each that pass one by one."""
     rng = np.random.default_rng(seed)
-    pictures = np.arange(240) * 500_000_000
+    sampled_ns = np.arange(240) * 500_000_000
     barrier, lorries = _x(rng, BARRIER, 240), _x(rng, MIDDLE[LARGE], 10 * users)
     begins = np.linspace(0, 110e9, users)
-    stamps = np.concatenate((pictures, (begins[:, None] + np.arange(10) * 500_000_000).ravel()))
-    tracks = {n: TrackStory(int(b), int(b + 5e9), np.zeros(3), 50 * np.eye(5)[LARGE], 60.0, 50, 50, 50)
+    stamps = np.concatenate((sampled_ns, (begins[:, None] + np.arange(10) * 500_000_000).ravel()))
+    tracks = {n: TrackHistory(int(b), int(b + 5e9), np.zeros(3), 50 * np.eye(5)[LARGE], 60.0, 50, 50, 50)
               for n, b in enumerate(begins)}  # fmt: skip
     box = np.tile(np.array([0, 0, 0, 12.0, 1.0, 1.5, 0, 0], np.float32), (len(stamps), 1))
     return SiteRecord(
         x=np.concatenate((barrier, lorries)), called=np.tile(np.eye(5)[LARGE], (len(stamps), 1)), box=box,
         stamp_ns=stamps.astype(np.int64), track=np.concatenate((np.full(240, -1), np.repeat(np.arange(users), 10))),
-        standing=np.concatenate((np.ones(240), np.zeros(10 * users))), tracks=tracks, pictures=pictures,
+        standing=np.concatenate((np.ones(240), np.zeros(10 * users))), tracks=tracks, sampled_ns=sampled_ns,
     )  # fmt: skip
 
 
@@ -82,9 +82,9 @@ def test_a_forest_that_forgets_a_class_is_refused(in_use):
 
 def test_nothing_that_is_judged_by_was_learned_from():
     record = _site(40)
-    learned, held_out, pictures = split(record, label_site(record))
+    learned, held_out, revolutions = split(record, label_site(record))
     assert not set(learned.rows) & set(held_out.rows)
-    assert pictures == pytest.approx(60, abs=1)
+    assert revolutions == pytest.approx(60, abs=1)
     users = [set(part.groups[part.labels == LARGE].tolist()) for part in (learned, held_out)]
     assert not users[0] & users[1]
     assert min(map(len, users)) > 5
@@ -159,12 +159,12 @@ def test_without_the_extra_it_says_what_to_install(monkeypatch, tmp_path):
 
 @pytest.mark.slow
 def test_on_a_real_motorway_trees_and_barriers_are_clutter_and_cars_in_their_lanes_are_not(recording):
-    pictures = sorted(recording("roadside-lidar80").glob("frame_*.npz"))
+    frames = sorted(recording("roadside-lidar80").glob("frame_*.npz"))
     config = InfraLidarConfig(
         background=BackgroundConfig(enabled=False), calibration=CalibrationConfig(height_min_m=2.0, max_tilt_deg=10.0)
     )
     pipeline, recorder = InfraLidarPipeline(config), SiteRecorder(FEATURES, config.ground.range_max_m)
-    for number, path in enumerate(pictures):  # they are seconds apart: no track lives on
+    for number, path in enumerate(frames):  # seconds apart: no track continues
         with np.load(path) as stored:
             recorder.add(pipeline.process(number * 10**10 + 1, stored["xyz"].astype(np.float32)), {})
     record = recorder.record()

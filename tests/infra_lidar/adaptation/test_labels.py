@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from services.infra_lidar.adaptation.labels import class_of, label_site
-from services.infra_lidar.adaptation.recorder import SiteRecord, TrackStory
+from services.infra_lidar.adaptation.recorder import SiteRecord, TrackHistory
 from services.infra_lidar.classification.classes import CLASSES
 
 BACKGROUND, CAR, LARGE, CYCLIST, PEDESTRIAN = range(5)
@@ -12,13 +12,13 @@ CAR_BOX = (4.3, 1.8, 1.4)
 
 
 def _track(votes, moved_m=30.0, lived_s=4.0, moving=1.0, hits=40):
-    story = TrackStory(0, round(lived_s * 1e9), np.zeros(3), np.array(votes, float), moved_m)
-    story.frames, story.moving_frames, story.hits = 40, round(40 * moving), hits
-    return story
+    history = TrackHistory(0, round(lived_s * 1e9), np.zeros(3), np.array(votes, float), moved_m)
+    history.frames, history.moving_frames, history.hits = 40, round(40 * moving), hits
+    return history
 
 
 @pytest.mark.parametrize(
-    ("story", "called"),
+    ("history", "called"),
     [
         (_track([0, 30, 5, 0, 5]), CAR),
         (_track([30, 8, 1, 0, 1]), CAR),  # mostly called background, but background does not move
@@ -30,12 +30,12 @@ def _track(votes, moved_m=30.0, lived_s=4.0, moving=1.0, hits=40):
         (_track([0, 40, 0, 0, 0], hits=5), None),
     ],
 )
-def test_a_track_is_trusted_that_moved_lived_and_was_of_one_mind(story, called):
-    assert class_of(story) == called
+def test_a_track_is_trusted_that_moved_lived_and_was_of_one_mind(history, called):
+    assert class_of(history) == called
 
 
 def _record(rows, tracks=None, length_s=60.0):
-    """rows: (class that it is called, place x, size, standing share, track) of each cluster, a picture each."""
+    """rows: (class that it is called, place x, size, standing share, track) of each cluster, one per revolution."""
     n = len(rows)
     box = np.zeros((n, 8), np.float32)
     box[:, 0] = [row[1] for row in rows]
@@ -44,7 +44,7 @@ def _record(rows, tracks=None, length_s=60.0):
     return SiteRecord(
         x=np.zeros((n, 3), np.float32), called=np.eye(5)[[row[0] for row in rows]], box=box, stamp_ns=stamps,
         track=np.array([row[4] for row in rows]), standing=np.array([row[3] for row in rows]), tracks=tracks or {},
-        pictures=stamps,
+        sampled_ns=stamps,
     )  # fmt: skip
 
 

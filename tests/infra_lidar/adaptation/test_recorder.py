@@ -52,9 +52,9 @@ def record():
     return recorder.record()
 
 
-def test_pictures_are_half_a_second_apart_and_features_are_kept(record):
-    assert np.diff(record.pictures).min() >= 500_000_000
-    assert len(record.pictures) == 20
+def test_sampled_revolutions_are_half_a_second_apart_and_features_are_kept(record):
+    assert np.diff(record.sampled_ns).min() >= 500_000_000
+    assert len(record.sampled_ns) == 20
     assert record.x.shape == (40, 2)
     assert record.called.shape == (40, 5)
     np.testing.assert_allclose(record.x[0, 0], HEDGE_M[2] + 0.4, atol=0.1)
@@ -66,11 +66,11 @@ def test_the_hedge_stands_and_the_car_does_not(record):
     assert record.standing[~hedge].max() < 0.1
 
 
-def test_the_story_of_the_track(record):
-    story = record.tracks[5]
-    assert story.moved_m == pytest.approx(99.0)
-    assert story.frames == story.moving_frames == story.hits == 100
-    np.testing.assert_allclose(story.votes, [20.0, 80.0, 0, 0, 0])
+def test_the_history_of_the_track(record):
+    history = record.tracks[5]
+    assert history.moved_m == pytest.approx(99.0)
+    assert history.frames == history.moving_frames == history.hits == 100
+    np.testing.assert_allclose(history.votes, [20.0, 80.0, 0, 0, 0])
 
 
 def test_nothing_seen_is_said():
