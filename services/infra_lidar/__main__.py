@@ -36,7 +36,7 @@ def run(config: InfraLidarConfig) -> bool:
     with Service("infra_lidar", config) as service:
         frames = open_source(config, service.report)
         warm_up(config, lambda text: service.report.state("starting", text))
-        gc.freeze()  # about a million objects of the compiler stay alive; each collection would take 0.1 s
+        gc.freeze()  # Numba keeps about a million objects; a full garbage collection takes 0.1 s
         request = RecalibrationRequest(service)
         publish_tracks = service.publisher(INFRA_TRACKS)
         publish_clusters = service.publisher(INFRA_CLUSTERS)

@@ -43,20 +43,20 @@ BOXES = ((8, 3, 4.2, 1.8, 1.5), (-6, 5, 0.5, 0.5, 1.7), (4, -9, 10, 2.5, 3.0))  
 POINTS = 400  # in each
 
 
-def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
-    """Run a made-up scene through a pipeline that soon has learned it; returns the milliseconds it took.
+def warm_up(config: InfraLidarConfig, report: Callable[[str], None]) -> float:
+    """Run a made-up scene through the pipeline until it has learned the background; returns the milliseconds it took.
 
-    ``tell`` is called with a line of progress for people.
+    ``report`` is called with a line of text about the progress.
     """
     first = "compiling kernels: once on this machine, about a minute"
-    tell("loading kernels" if DONE.exists() else first)
+    report("loading kernels" if DONE.exists() else first)
     watch, image = Stopwatch(), made_up_revolution()
     calibration = CalibrationConfig(frames=1, hypotheses=16)  # the made-up sensor stands level, the real one may not
     background = replace(config.background, learn_s=0.1, min_frames=5)
     kinds = kinds_that_may_come(config.source)
     config = replace(config, calibration=calibration, background=background, T_map_sensor=())
     with second_compiler() as beside:
-        if beside:  # it does the clusters: here all else
+        if beside:  # it compiles the clustering; compile the rest here
             for returns in (image.points, image):
                 segment(config, returns)
             classify(config)
@@ -77,9 +77,9 @@ def warm_up(config: InfraLidarConfig, tell: Callable[[str], None]) -> float:
 
 @contextmanager
 def second_compiler() -> Iterator[bool]:
-    """Meanwhile compile clustering in a process of its own, where there is a core for it: it takes as long as the rest.
+    """Compile clustering in a second process if a second core is free; yields True if it runs.
 
-    Gives whether there is one. What it does not compile, for whatever reason, this process does.
+    Clustering takes as long to compile as all the rest. If the second process fails, this one compiles it later.
     """
     if DONE.exists() or not KEPT or len(os.sched_getaffinity(0)) < 2:
         yield False

@@ -1,4 +1,4 @@
-"""Who sends to a UDP port, and in a sentence why none of it becomes a revolution. No I/O."""
+"""Counts the senders to a UDP port and says in a sentence why no revolution comes of their packets. No I/O."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RECENT_S = 0.5  # without a packet for this long the sensor is silent
 
 
 class Arrivals:
-    """What has come to a port since ``forget``. One thread tells it, another may ask."""
+    """Packets that came to a port since ``forget``. One thread writes, another reads."""
 
     def __init__(self, port: int) -> None:
         self._port = port
@@ -27,21 +27,21 @@ class Arrivals:
         self._fitting_s = -math.inf
 
     def forget(self) -> None:
-        """Begin anew: what came before says nothing of what comes now."""
+        """Reset the counts, for example after the source was opened again."""
         with self._lock:
             self._unfit.clear()
             self._strangers.clear()
 
     def fitting(self, now_s: float) -> None:
-        """The parser could use a packet; monotonic seconds."""
+        """A packet was usable; ``now_s`` is monotonic."""
         self._fitting_s = now_s
 
     def unfit(self, address: str, packet: bytes) -> None:
-        """The parser could not use a packet of the sensor that is listened to."""
+        """A packet of the configured sensor was not usable."""
         self._count(self._unfit, address, packet)
 
     def stranger(self, address: str, packet: bytes) -> None:
-        """A packet of somebody else came."""
+        """A packet came from another address than the configured sensor's."""
         sender = self._count(self._strangers, address, packet)
         if sender not in self._logged and len(self._logged) < MAX_NAMED:
             self._logged.add(sender)
@@ -55,7 +55,7 @@ class Arrivals:
         return sender
 
     def why_nothing(self, now_s: float) -> str:
-        """Why no revolution comes: the sensor's packets do not fit, somebody else sends, or nobody does."""
+        """Why no revolution comes: the sensor's packets do not fit, only other senders send, or no packets come."""
         with self._lock:
             unfit = " and ".join(f"{count} packets of {sender}" for sender, count in sorted(self._unfit.items()))
             strangers = "; ".join(sorted(map(str, self._strangers)))

@@ -189,7 +189,7 @@ class Scene:
     def _watch_sensor(self, stamp_ns: int, sample: np.ndarray, levelled: Levelled, every: int = 1) -> None:
         """Count the beams in a sample of the points and the sectors of levelled points; watch for a nudge.
 
-        every: sectors are counted in every so manieth of the levelled points.
+        every: only every ``every``-th levelled point is counted for the sectors.
         """
         if not self._complete:
             return

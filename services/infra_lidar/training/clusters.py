@@ -1,4 +1,4 @@
-"""Labelled clusters: what training and evaluation take, whoever made them."""
+"""Labelled clusters: the input of training and evaluation."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from services.infra_lidar.config import InfraLidarConfig
 
 log = logging.getLogger(__name__)
 
-TRAIN_SEED, TEST_SEED = 1000, 5000  # scenes from here on; never the same
+TRAIN_SEED, TEST_SEED = 1000, 5000  # first seeds; training and test ranges do not overlap
 Folder = Annotated[
     Path | None, typer.Argument(metavar="DIR", help="{train,test}/<class>/*.bin; without it generated scenes are used.")
 ]
@@ -48,12 +48,12 @@ def train(
     from services.infra_lidar.training.train import GENERATED, ForestSettings, train_forest, training_set
 
     check_output(output, SUFFIX)
-    clusters, weight, story = training_set(folder, scenes, bodies, TRAIN_SEED)
+    clusters, weight, provenance = training_set(folder, scenes, bodies, TRAIN_SEED)
     log.info("training on %d clusters", len(clusters))
     usual = ForestSettings() if folder else GENERATED
     settings = replace(usual, trees=trees or usual.trees, max_leaves=leaves or usual.max_leaves)
     features = "shape" if folder else "any_sensor"  # clusters in files are centred: no distance to the sensor
-    forest = train_forest(clusters, features, story, settings, tell=say, weight=weight)
+    forest = train_forest(clusters, features, provenance, settings, report=say, weight=weight)
     size = write_forest(forest, output)
     say(f"{output}: {settings.trees} trees, {len(forest.feature)} nodes, {size}, {forest.digest[:12]}")
 

@@ -1,4 +1,4 @@
-"""What training says of its clusters: how many there are, and how well groups are told that were left out. Pure."""
+"""The table that training prints: clusters per class, and the recall on groups that were held out. Pure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from services.infra_lidar.classification.forest import calibrated
 from services.infra_lidar.training.clusters import LabelledClusters
 from services.infra_lidar.training.evaluate import judge
 
-FEW_CLUSTERS = 100  # of a class: the calibration's curve and the figures rest on few
+FEW_CLUSTERS = 100  # of a class; with fewer, its calibration curve and figures are unreliable
 
 
 def held_out_table(
@@ -19,7 +19,7 @@ def held_out_table(
 ) -> Iterator[str]:
     """Lines for a person: clusters and groups by class, recall and macro F1 before and after calibration.
 
-    shares: (K, C) of the trees' votes, each by a forest that saw nothing of the cluster's group. curve_x, curve_y:
+    shares: (K, C) of the trees' votes, each by a forest that was trained without the cluster's group. curve_x, curve_y:
     (C, B), the calibration. It was fitted to these very shares, so its column is a little too good.
     """
     labels, groups = clusters.labels, clusters.groups

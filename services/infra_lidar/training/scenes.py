@@ -1,7 +1,7 @@
 """Labelled clusters from generated roadside scenes: the pipeline's own ground and cluster steps, the simulator's truth.
 
-What the classifier will meet in service is what it is trained on: clusters with the pieces that ground removal and
-clustering leave, merge or break. The label of a cluster is what most of its points belong to.
+The classifier is trained on what it gets in service: clusters with the errors of ground removal and clustering
+(missing, merged or split parts). The label of a cluster is what most of its points belong to.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ CLASS_OF_KIND = {"pedestrian": "pedestrian", "cyclist": "cyclist", "car": "car",
     "truck": "large_vehicle"
 }
 _CLASS_INDEX = np.array([CLASSES.index(CLASS_OF_KIND.get(kind, "background")) for kind in KINDS])
-PURE = 0.7  # share of the points that must agree before a cluster teaches anything
-# Columns a turn and every how manieth ring: sensors differ, and a forest must not depend on one spacing of points.
+PURE = 0.7  # least share of points of one object; other clusters are not used for training
+# Columns per revolution, and ring step: sensors differ, and a forest must not depend on one spacing of points.
 FULL = (1800, 1)
 RESOLUTIONS = (FULL, (1024, 1), FULL, (1800, 2))
 
@@ -82,7 +82,7 @@ def those(view: Scan, keep: np.ndarray) -> Scan:
 
 
 def cut(view: Scan, steps: Steps, T_level_sensor: np.ndarray) -> SceneFrame:
-    """The geometric steps on one turn, with its calibration."""
+    """The geometric steps on one revolution, with its calibration."""
     found = steps.clusters(view.xyz, T_level_sensor)
     road_z_m = steps.ground.road_height(found.box[:, 0], found.box[:, 1])
     return SceneFrame(view, found, np.asarray(road_z_m), *_truth(view, found))
@@ -115,7 +115,7 @@ def scene_clusters(
 
 
 def pure_clusters(frames: Iterable[tuple[int, SceneFrame]]) -> LabelledClusters:
-    """The clusters of frames, each with its group, that are of one thing for the most part."""
+    """The clusters of frames, each with its group, whose points mostly belong to one object."""
     clusters: list[np.ndarray] = []
     ground: list[float] = []
     labels: list[int] = []

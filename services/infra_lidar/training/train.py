@@ -31,9 +31,9 @@ from services.infra_lidar.training.varied import generated_clusters
 from services.infra_lidar.training.varied_streets import varied_street_clusters
 
 TrainedForest: TypeAlias = RandomForestClassifier | RefinedForest
-BODY_WEIGHT = 0.6  # of a single body against a cluster of a street: bodies are of no street's shares
+BODY_WEIGHT = 0.6  # a cluster of a street weighs 1; single bodies do not have the class shares of a street
 BACKGROUND_WEIGHT = 0.35  # between whole frames, two thirds background, and a learned scene, nearly none of it
-VARIED_SEED = 29_000  # added for streets of varied bodies: no two streets have one plan
+VARIED_SEED = 29_000  # added to the seed for streets of varied bodies, so that no two streets share a layout
 _BACKGROUND = 2  # generated fixtures per body of any class: the street has more kinds of things than of road users
 _FRAMES, _VIEWS = 2, 3  # of a street and of one with varied bodies
 
@@ -41,15 +41,15 @@ _FRAMES, _VIEWS = 2, 3  # of a street and of one with varied bodies
 def training_set(
     folder: Path | None, scenes: int, bodies: int, seed: int
 ) -> tuple[LabelledClusters, np.ndarray, dict[str, Any]]:
-    """Clusters, the weight of each (K,), and the story of where they come from, for the model's header."""
+    """Clusters, the weight of each (K,), and their provenance for the model's header."""
     if folder:
         clusters = read_part(folder, "train")
         expect_classes(clusters, folder / "train")
         return clusters, np.ones(len(clusters)), {"source": "labelled clusters", "folder": folder.name}
     clusters, weight = generated_set(Steps.of(InfraLidarConfig()), scenes, bodies, seed)
-    story = {"source": "generated roadside scenes, streets of varied bodies and single bodies"}
+    provenance = {"source": "generated roadside scenes, streets of varied bodies and single bodies"}
     made = {"seed": seed, "scenes": scenes, "bodies": bodies}
-    return clusters, weight, {**story, **made, "body_weight": BODY_WEIGHT}
+    return clusters, weight, {**provenance, **made, "body_weight": BODY_WEIGHT}
 
 
 def generated_set(steps: Steps, scenes: int, bodies: int, seed: int) -> tuple[LabelledClusters, np.ndarray]:
@@ -105,11 +105,11 @@ GENERATED = ForestSettings(
 
 def train_forest(
     clusters: LabelledClusters, feature_set: str, provenance: dict[str, Any], settings: ForestSettings,
-    tell: Callable[[str], object] | None = None, weight: np.ndarray | None = None,
+    report: Callable[[str], object] | None = None, weight: np.ndarray | None = None,
 ) -> Forest:  # fmt: skip
     """Fit on all clusters, each of ``weight`` (K,); calibrate with predictions for groups that were left out.
 
-    ``tell`` gets the lines of ``held_out_table``.
+    ``report`` is called with each line of ``held_out_table``.
     """
     names = FEATURE_SETS[feature_set]
     x = compute_features(clusters.points, clusters.offsets, clusters.ground_z_m, names)
@@ -120,9 +120,9 @@ def train_forest(
     held_out = out_of_group_shares(fit, x, clusters.groups)
     expected = expected_weight(clusters.labels, weight, settings.background)
     curve_x, curve_y = calibrate(held_out, clusters.labels, expected)
-    if tell is not None:
+    if report is not None:
         for line in held_out_table(held_out, curve_x, curve_y, clusters):
-            tell(line)
+            report(line)
     counts = {name: int(np.sum(clusters.labels == c)) for c, name in enumerate(CLASSES)}
     made = {"feature_set": feature_set, "clusters": counts, "trees": settings.trees, "forest_seed": settings.seed}
     made |= {"background_weight": settings.background, "refined": settings.refined, "random_cuts": settings.random_cuts}
@@ -130,7 +130,7 @@ def train_forest(
 
 
 def out_of_group_shares(fit: Any, x: np.ndarray, groups: np.ndarray, folds: int = 4) -> np.ndarray:
-    """(K, C) class shares of every cluster by a forest that saw nothing of its group.
+    """(K, C) class shares of every cluster by a forest that was trained without its group.
 
     fit: makes a fitted scikit-learn forest of the rows whose numbers it gets. x: (K, F). groups: (K,).
 
@@ -150,7 +150,7 @@ def out_of_group_shares(fit: Any, x: np.ndarray, groups: np.ndarray, folds: int 
 def expected_weight(labels: np.ndarray, weight: np.ndarray | None, background: float) -> np.ndarray:
     """(K,) weight of each cluster in the calibration: background counts ``background`` times what it does in the trees.
 
-    Probabilities follow from the shares of the classes, and where the forest will stand those are not the training's.
+    The probabilities depend on the class shares, which differ between the training set and a real site.
     """
     return np.where(labels == BACKGROUND, background, 1.0) * (1.0 if weight is None else weight)
 

@@ -1,8 +1,8 @@
 """Single bodies of many builds, seen by sensors of many kinds: domain randomisation (Tobin et al., IROS 2017).
 
 Mounting height, distance, spacing and evenness of the beams, noise, rounding of ranges, lost returns, what stands in
-front, what is left of the ground and the error of its height are drawn anew for every body, so that the forest can
-lean on none of them.
+front, what is left of the ground and the error of its height are drawn anew for every body, so that the forest does not
+depend on any of them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from spotter_sim.solids import PARTS, Solids
 MAKERS = {"car": car, "large_vehicle": large_vehicle, "cyclist": rider, "pedestrian": person}
 """A body of each class, drawn at random."""
 _LEAVES, _CLEAR, _GLASS = (PARTS.index(name) for name in ("leaves", "clear", "glass"))
-_ANIMAL_SHARE = 0.02  # they are of no class: each is labelled by lot, which teaches the forest to be unsure
+_ANIMAL_SHARE = 0.02  # they belong to no class: each gets a random label, so that the forest learns to be unsure
 _ANIMAL_LABELS = [CLASSES.index(name) for name in ("background", "cyclist", "pedestrian")]
 _PARKED_SHARE = 0.35  # of the vehicles stand in a row: between their neighbours only a corner or an end is seen
 _RAYS = 2500

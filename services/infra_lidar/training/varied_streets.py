@@ -89,7 +89,7 @@ def _seen_from(street: Scenario, name: str, mount: Mount) -> Scenario:
 
 
 def _sensed(rng: np.random.Generator, street: Scenario) -> Scan:
-    """One turn of a sensor with fewer beams, losses, noise and rounding of its own."""
+    """One revolution of a sensor with fewer beams, losses, noise and rounding of its own."""
     view = scan(street, 0.0, int(rng.choice(_COLUMNS)))
     beams = view.ring % rng.choice(_RING_STEPS) == 0
     view = those(view, beams & (rng.random(len(view)) > rng.choice([0.0, 0.05, 0.2])))
