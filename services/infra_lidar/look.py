@@ -1,4 +1,4 @@
-"""What the roadside lidar shows: turns and returns a second, how complete they are. Without the pipeline's kernels."""
+"""``look`` of the roadside lidar: revolution rate, returns, losses. Needs none of the pipeline's kernels."""
 
 from __future__ import annotations
 
@@ -20,31 +20,32 @@ SENSORS = {"velodyne": "VLS-128", "ouster": "Ouster", "hesai": "Hesai", "robosen
 
 
 def looks(config: InfraLidarConfig, seconds: float) -> Iterator[Look]:
-    """One ``Look`` a period, over the turns that came in it.
+    """One ``Look`` per period, over the revolutions that came in it.
 
     Raises:
         ConfigError: the source cannot be opened as it is written.
     """
     kind = config.source.partition(":")[0]
     if kind in KINDS:
-        compile_decoder(kind)  # on the first run it takes seconds; packets that wait for it would count as none
+        compile_decoder(kind)  # takes seconds on the first run; packets would be lost meanwhile
     sensor = SENSORS.get(kind, "")
     for seen in collect(lambda report: open_source(config, report), seconds):
-        yield describe(seen, sensor) if seen.items else seen.nothing("complete turn")
+        yield describe(seen, sensor) if seen.items else seen.nothing("complete revolution")
 
 
 def describe(seen: Seen[tuple[int, Frame]], sensor: str) -> Look:
-    """The figures of one period, with the returns of the newest turn. A range without a return is none."""
+    """The figures of one period, with the returns of the newest revolution. Empty cells are not counted."""
     points, packets = seen.items[-1][1].points, len(seen.items[-1][1].packets)
-    which = f"{sensor}, {packets} packets a turn, " if sensor else ""
+    which = f"{sensor}, {packets} packets per revolution, " if sensor else ""
     reach_m = np.linalg.norm(points[:, :3], axis=1)
-    reach_m = reach_m[np.isfinite(reach_m) & (reach_m > 0.0)]  # a cell of an image, or of a driver's cloud, is empty
+    reach_m = reach_m[np.isfinite(reach_m) & (reach_m > 0.0)]  # empty cells of an image, or of a driver's cloud
     where = f", from {reach_m.min():.1f} to {reach_m.max():.1f} m" if len(reach_m) else ""
     bad = ", ".join(f"{name}: {count}" for name, count in sorted(seen.status.counters.items()))
-    turns = f"{which}{seen.rate_hz:.1f} turns a second, {len(reach_m)} returns{where}{'; ' + bad if bad else ''}"
+    rate = f"{seen.rate_hz:.1f} revolutions per second"
+    what = f"{which}{rate}, {len(reach_m)} returns{where}{'; ' + bad if bad else ''}"
     if len(reach_m):
-        return Look(sees=True, what=turns)
-    return Look(sees=False, what=turns, do="turns without a return: is the window covered, the laser on?")
+        return Look(sees=True, what=what)
+    return Look(sees=False, what=what, do="revolutions without a return: is the window covered, the laser on?")
 
 
 def add_look(app: typer.Typer) -> None:

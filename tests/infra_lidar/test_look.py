@@ -24,7 +24,7 @@ def test_a_sensor_that_sends_is_told_with_its_packets(free_ports: Callable[[], i
         seen: Look = next(looks(InfraLidarConfig(source=f"velodyne://127.0.0.1:{port}"), 0.5))
     assert seen.sees, seen
     assert seen.what.startswith("VLS-128, ")
-    assert "packets a turn" in seen.what
+    assert "packets per revolution" in seen.what
     assert "from 10.0 to 10.0 m" in seen.what  # every laser of these packets sees a sphere of 10 m
 
 
@@ -35,9 +35,9 @@ def packet_of(steps: int) -> Returns:
 @pytest.mark.parametrize(
     ("returns", "words"),
     [
-        (packet_of(0), "10.0 turns a second, 0 returns"),
-        (packet_of(2500), "10.0 turns a second, 384 returns, from 10.0 to 10.0 m"),
-        (np.zeros((0, 5), np.float32), "10.0 turns a second, 0 returns"),
+        (packet_of(0), "10.0 revolutions per second, 0 returns"),
+        (packet_of(2500), "10.0 revolutions per second, 384 returns, from 10.0 to 10.0 m"),
+        (np.zeros((0, 5), np.float32), "10.0 revolutions per second, 0 returns"),
         (np.array([[0, 0, 0, 1], [np.nan] * 4, [3, 4, 0, 1]], np.float32), "1 returns, from 5.0 to 5.0 m"),
     ],
 )

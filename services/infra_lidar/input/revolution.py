@@ -1,6 +1,6 @@
 """Packets to revolutions: packets are collected until the head passes the cut; losses and gaps are counted.
 
-A revolution is decoded while it comes, some packets at a time: when its last packet is there, little is left to do.
+A revolution is decoded while it comes, some packets at a time, so that little is left to do after its last packet.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from services.infra_lidar.input.range_image import RangeImage
 from services.infra_lidar.sensor_health import FrameQuality
 
 FULL_COVERAGE = 0.97  # of the directions that the sensor sends: then a revolution is complete
-WINDOW_TURNS = 10  # the field of view is what was seen in any of this many last turns
-NARROWEST_DARK_DEG = 45  # that a window leaves out
+WINDOW_REVOLUTIONS = 10  # the field of view is what was covered in any of the last revolutions, this many
+NARROWEST_DARK_DEG = 45  # gaps wider than this count as outside the window
 RECENT_PACKETS = 32  # a mirror port sends a packet again right behind itself, a switch swaps neighbours
 BATCH_PACKETS = 64  # decoded together, a tenth of a revolution
 MAX_PACKETS = 8192  # of a revolution: a slow one with two returns has 7200. A stuck head never passes the cut
@@ -25,7 +25,7 @@ MAX_PACKETS = 8192  # of a revolution: a slow one with two returns has 7200. A s
 
 @dataclass(frozen=True)
 class Revolution:
-    """One turn of the head.
+    """One revolution of the head.
 
     stamp_ns: UTC ns of its last packet. packets: what it was decoded from. metadata, kind: of the sensor, what is
     needed to decode them again.
@@ -65,7 +65,7 @@ def stack_packets(packets: Sequence[bytes]) -> np.ndarray:
 def join_rows(parts: Sequence[RangeImage]) -> RangeImage:
     """One range image of the rows of all parts (at least one), with the beams of the longest.
 
-    Beams hold the speed of the head, which a part of few packets tells badly.
+    Beams hold the speed of the head, which few packets determine badly.
     """
 
     def join(name: str) -> np.ndarray:
@@ -83,13 +83,13 @@ def decode_revolution(raw: np.ndarray, decoder: PacketDecoder) -> RangeImage:
 
 
 class PacketOrder:
-    """Tells packets that follow each other from doubled and late ones and from gaps, by the sensor's own counter.
+    """Detects doubled and late packets and gaps by the sensor's own counter.
 
     ``counters`` holds ``packet doubled`` and ``packet late``.
 
     Args:
         period: where the counter begins again at 0.
-        farthest: a step of the counter beyond this is no gap but a sensor that has started anew.
+        farthest: a larger step of the counter is not a gap: the sensor has restarted.
     """
 
     def __init__(self, period: int, farthest: int) -> None:
@@ -117,21 +117,21 @@ class PacketOrder:
 
 
 class FieldOfView:
-    """Which degrees the sensor sends. A window that is set in the sensor is normal on a mast: it is learned.
+    """The degrees that the sensor sends. On a mast a window is often set in the sensor, so it is learned.
 
-    What no turn has shown over a wide sector is outside the window; a narrower hole is loss.
+    A wide sector that no recent revolution covered is outside the window; a narrower gap is packet loss.
     """
 
     def __init__(self) -> None:
-        self._turns: deque[int] = deque(maxlen=WINDOW_TURNS)  # a bit for each degree
-        self.degrees = (1 << 360) - 1  # a bit for each degree that is expected; all of them in the first turn
+        self._recent: deque[int] = deque(maxlen=WINDOW_REVOLUTIONS)  # a bit for each degree
+        self.degrees = (1 << 360) - 1  # a bit for each degree that is expected; all of them in the first revolution
 
     def add(self, covered: int) -> None:
-        """The degrees of a turn."""
-        self._turns.append(covered)
+        """Add the covered degrees of a revolution, one bit each."""
+        self._recent.append(covered)
         seen = 0
-        for turn in self._turns:
-            seen |= turn
+        for degrees in self._recent:
+            seen |= degrees
         places = [k for k in range(360) if seen >> k & 1]
         for here, following in pairwise([*places, *(k + 360 for k in places[:1])]):
             if following - here <= NARROWEST_DARK_DEG:

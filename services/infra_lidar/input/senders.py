@@ -94,8 +94,8 @@ def describe(datagrams: list[Datagram], path: Path | None) -> Iterator[str]:
     for sender, sent in lidars.items():
         span_s = max((sent[-1].stamp_ns - sent[0].stamp_ns) * 1e-9, 1e-3)
         returns = returns_of(sent[0].payload)
-        told = f"{sender}: {len(sent) / span_s:.0f} packets a second of {len(sent[0].payload)} bytes"
-        yield f"{told}, {returns}" if returns else told
+        line = f"{sender}: {len(sent) / span_s:.0f} packets a second of {len(sent[0].payload)} bytes"
+        yield f"{line}, {returns}" if returns else line
         if sender.supported:
             yield from _details(sender, sent, path, span_s)
 
@@ -106,14 +106,14 @@ def _details(sender: Sender, sent: list[Datagram], path: Path | None, span_s: fl
     except ConfigError as error:
         yield f"    {error}"
         return
-    turns = [turn for one in sent if (turn := parser.feed(one.payload, one.stamp_ns)) is not None]
-    if turns:
-        returns = sum(turn.range_image.returns for turn in turns) // len(turns)
-        lost = sum(turn.quality.packets_lost for turn in turns)
+    ended = [one for packet in sent if (one := parser.feed(packet.payload, packet.stamp_ns)) is not None]
+    if ended:
+        returns = sum(one.range_image.returns for one in ended) // len(ended)
+        lost = sum(one.quality.packets_lost for one in ended)
         counters = parser.order.counters
         yield (
-            f"    {len(turns) / span_s:.1f} turns a second, {returns} returns a turn; packets lost {lost}, doubled "
-            f"{counters['packet doubled']}, late {counters['packet late']}"
+            f"    {len(ended) / span_s:.1f} revolutions per second, {returns} returns per revolution; "
+            f"packets lost {lost}, doubled {counters['packet doubled']}, late {counters['packet late']}"
         )
         others = sorted(counters.keys() - {"packet doubled", "packet late"})
         yield from (f"    {name}: {counters[name]}" for name in others)
@@ -123,7 +123,7 @@ def _details(sender: Sender, sent: list[Datagram], path: Path | None, span_s: fl
 
 
 def _parser(sender: Sender, path: Path | None) -> tuple[PacketParser, str, str]:
-    """A parser to count with, what has to be added to the source so that there is one that measures, and where from."""
+    """A parser for counting, what has to be added to the source for measuring, and a note on where that comes from."""
     kind = KINDS[kind_of(sender.model)]
     if path is None:
         if kind is KINDS["ouster"]:

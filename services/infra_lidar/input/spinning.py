@@ -1,6 +1,6 @@
 """The decoder contract: the packet format of a spinning lidar, and the parser that all of them share. No I/O.
 
-A sensor gives two pure functions. ``head`` reads the few bytes that tell where in a turn a packet lies, for every
+A sensor gives two pure functions. ``head`` reads the few bytes with a packet's place in the revolution, for every
 packet as it comes. ``decode`` makes ranges of many packets at once. What a sensor needs beside its packets (beam
 angles, firing times) is in the format from the start; its text form is ``metadata``, from which the format can be made
 again.
@@ -17,7 +17,7 @@ import numpy as np
 from services.infra_lidar.input.range_image import RangeImage
 from services.infra_lidar.input.revolution import PacketDecoder, PacketOrder, Revolution, RevolutionAssembler
 
-BACK_DEG = 2.0  # the head turns one way: an azimuth that falls by more is a new turn
+BACK_DEG = 2.0  # the head turns one way: an azimuth that falls by more begins a new revolution
 BACKWARD_PACKETS = 200  # whose azimuths fall by less: the head turns the other way
 WRONG_WAY = "head turns counter-clockwise, set the sensor to clockwise"
 
@@ -79,7 +79,7 @@ class SpinningParser:
         self._sensor = sensor
         self._cut_deg = cut_deg
         self._previous_deg = -1.0
-        self._size = 0  # of the packets of this turn
+        self._size = 0  # of the packets of this revolution
         self._backward = 0  # packets one after the other
         self.order = PacketOrder(sensor.period, sensor.farthest)
         self.assembler = RevolutionAssembler(sensor.decoder)

@@ -104,4 +104,4 @@ def test_a_live_port_gives_turns(kind: str, tmp_path: Path, free_ports: Callable
     with sending(packets, port):
         seen: Look = next(looks(InfraLidarConfig(source=f"{kind}://127.0.0.1?port={port}&calibration={angles}"), 0.5))
     assert seen.sees, seen
-    assert "packets a turn" in seen.what
+    assert "packets per revolution" in seen.what

@@ -128,7 +128,7 @@ def test_check_sums_of_the_catalogue() -> None:
 
 
 def turn(count: int, **change: object) -> list[bytes]:
-    """A turn and the first packet of the next, as a sensor with that many packets a turn sends it."""
+    """A revolution and the first packet of the next, as a sensor with that many packets per revolution sends it."""
     step = 36000 // count
     return [
         replace(Packet(sequence=k), azimuth=(step * k % 36000, (step * k + step // 2) % 36000), **change).build()  # type: ignore[arg-type]

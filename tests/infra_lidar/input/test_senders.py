@@ -38,7 +38,7 @@ def test_a_sensor_in_a_capture_with_rate_returns_and_source() -> None:
     assert (
         lines[0] == "Velodyne VLS-128 at 192.168.1.201, port 2368: 6027 packets a second of 1206 bytes, single return"
     )
-    assert "10.1 turns a second" in lines[1]
+    assert "10.1 revolutions per second" in lines[1]
     assert "packets lost 10, doubled 0, late 0" in lines[1]
     assert lines[2].strip() == 'source = "file:street.pcap?from=192.168.1.201&port=2368"'
 

@@ -120,7 +120,7 @@ def test_look_tells_the_model_its_figures_and_what_to_write() -> None:
     lines = list(describe([*sent[:50], *sent[51:]], Path("street.pcap")))
     who = "Hesai Pandar128E3X or OT128 at 192.168.1.201, port 2368"
     assert lines[0] == f"{who}: 600 packets a second of 839 bytes, single return"
-    assert "15232 returns a turn; packets lost 1, doubled 0, late 0" in lines[1]
+    assert "15232 returns per revolution; packets lost 1, doubled 0, late 0" in lines[1]
     assert lines[2].strip() == ('source = "file:street.pcap?from=192.168.1.201&port=2368&calibration=ANGLES.csv"')
     assert 'source = "hesai://192.168.1.201?port=2368"' in " ".join(describe(sent, None))
 
@@ -151,7 +151,7 @@ def test_a_robosense_capture_without_angles(tmp_path: Path) -> None:
         frames(f"file:{path}?rate=0")
     lines = list(describe([Datagram(k, "10.0.0.9", 6699, packet) for k, packet in enumerate(RUBY_TURNS)], path))
     assert lines[0].startswith("RoboSense Ruby Plus at 10.0.0.9, port 6699: ")
-    assert "returns a turn; packets lost 0" in lines[1]
+    assert "returns per revolution; packets lost 0" in lines[1]
     assert lines[2].strip() == f'source = "file:{path}?from=10.0.0.9&port=6699&calibration=ANGLES.csv"'
     assert "record the DIFOP port too" in lines[3]
     path.with_suffix(".csv").write_text(
