@@ -8,11 +8,12 @@ from time import thread_time
 import numpy as np
 from sklearn.ensemble import RandomForestClassifier
 
+from benchmarks.article.article_tracker import ArticleTracker
 from benchmarks.article.costly_features import ARTICLE_SETS
 from benchmarks.article.flat_ground import flat_surface
 from benchmarks.article.neighbours import spacing_deviation
 from benchmarks.article.plain_infra_lidar import PlainPipeline, Tracker, features, find_clusters, ground_and_rest
-from benchmarks.article.presets import ARTICLE_CLUSTERING, ARTICLE_GROUND, ARTICLE_TRACKING
+from benchmarks.article.presets import ARTICLE_CLUSTERING, ARTICLE_GROUND
 from benchmarks.article.second_look import refine_clusters
 from benchmarks.infra_lidar.frames import Frame, frames_of
 from services.infra_lidar.classification.classes import CLASSES
@@ -22,8 +23,6 @@ from services.infra_lidar.classification.forest import Forest
 from services.infra_lidar.clustering.clustering import Clustering, ClusterPoints
 from services.infra_lidar.config import ClassifierConfig
 from services.infra_lidar.segmentation.ground import Ground
-from services.infra_lidar.tracking import MultiObjectTracker
-from services.infra_lidar.tracking.detections import detection_records
 from services.infra_lidar.training.train import flatten
 
 TRAINING_SCENES = 5
@@ -85,6 +84,13 @@ def article_table(found: ClusterPoints) -> np.ndarray:
     return table
 
 
+def mean_points(found: ClusterPoints) -> np.ndarray:
+    """(K, 3) float64, the mean of the points of each cluster (m): what the article's tracker measures."""
+    if not len(found):
+        return np.empty((0, 3))
+    return np.add.reduceat(found.points, found.offsets[:-1], axis=0, dtype=np.float64) / found.counts[:, None]
+
+
 class ArticleByKernels:
     """The article's pipeline by our steps at the article's settings, with its own ground rule and second look."""
 
@@ -96,8 +102,7 @@ class ArticleByKernels:
 
     def begin(self) -> None:
         """Begin a sequence anew."""
-        self.tracker = MultiObjectTracker(ARTICLE_TRACKING)
-        self._stamp_ns = START_NS
+        self.tracker = ArticleTracker()
         self.timed = Timed()
 
     def process(self, frame: Frame) -> dict[str, np.ndarray]:
@@ -109,11 +114,8 @@ class ArticleByKernels:
         t = self.timed.add("cluster", t)
         classified = self._classifier.classify(article_table(found))
         t = self.timed.add("classify", t)
-        centres, (objects,) = found.means, classified.labels.nonzero()
-        box = np.hstack((centres[objects], found.box[objects, 3:]))
-        labels, confidence = classified.labels[objects], classified.confidence[objects]
-        self._stamp_ns += 100_000_000
-        self.tracker.step(self._stamp_ns, detection_records(box, labels, confidence, T_map_source=np.eye(4)))
+        centres, objects = mean_points(found), classified.labels != 0
+        self.tracker.update(centres[objects], classified.labels[objects])
         self.timed.add("track", t)
         return {"centres": centres, "labels": classified.labels}
 

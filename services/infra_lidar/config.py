@@ -56,7 +56,7 @@ class GroundConfig(Section, frozen=True, kw_only=True):
     limit_max_m: NotNegative = 2.0
     below_m: NotNegative = 0.30  # a point is ground from this far below the surface ...
     above_m: NotNegative = 0.15  # ... to this far above it
-    keep_below: bool = False  # points lower than that are obstacles (the article) or nothing
+    keep_below: bool = False  # points lower than that are obstacles or nothing
     max_step: Share = 0.12  # slope that may be overlooked while the road is hidden
     step_up_m: NotNegative = 0.20  # a cell farther above its inner neighbours is a thing on the road ...
     step_down_m: NotNegative = 0.40  # ... and farther below them a hole

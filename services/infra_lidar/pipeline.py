@@ -120,11 +120,8 @@ class InfraLidarPipeline:
         )  # fmt: skip
 
     def _detections(self, clusters: ClusterSet, found: ClusterPoints, T_map_level: np.ndarray) -> np.ndarray:
-        box = found.box
-        if self.config.tracking.boxes == "centroid":
-            box = np.hstack((found.means, box[:, 3:]))
         return detection_records(
-            box, clusters.classes, clusters.confidences, clusters.counts, clusters.probabilities,
+            found.box, clusters.classes, clusters.confidences, clusters.counts, clusters.probabilities,
             T_map_source=T_map_level,
         )  # fmt: skip
 

@@ -54,13 +54,6 @@ class ClusterPoints:
         """(N,) int32: the cluster of each point of a frame of n, -1 = none."""
         return of_points(self.members, self.offsets, n)
 
-    @property
-    def means(self) -> np.ndarray:
-        """(K, 3) float64, the mean of the points of each cluster."""
-        if not len(self):
-            return np.empty((0, 3))
-        return np.add.reduceat(self.points, self.offsets[:-1], axis=0, dtype=np.float64) / self.counts[:, None]
-
 
 def of_points(members: np.ndarray, offsets: np.ndarray, n: int) -> np.ndarray:
     """(N,) int32: the cluster of each point of a frame of n, -1 = none; members and offsets of ``ClusterPoints``."""

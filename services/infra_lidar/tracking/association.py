@@ -2,8 +2,7 @@
 
 Cost of a pair = d2 + ln det S - w ln(p + 0.02). d2 is the squared Mahalanobis distance of the innovation and has to
 pass the gate. ln det S keeps an uncertain track from winning every tie. p is the probability that track and detection
-are of one class, so another class adds cost and is not forbidden. The article's cost is a setting: the Mahalanobis
-distance alone, and another class is forbidden.
+are of one class, so another class adds cost and is not forbidden.
 """
 
 from __future__ import annotations
@@ -92,8 +91,6 @@ def _reach(track: TrackRecord, settings: TrackingSettings) -> float:
 @kernel
 def _pair_cost(track: TrackRecord, detection: DetectionRecord, settings: TrackingSettings) -> float:
     """Cost of one pair, ``FORBIDDEN`` outside the gate."""
-    if settings.same_class_only and detection.label != track.label:
-        return FORBIDDEN
     if settings.visible and size_mismatch(track.size, detection.size):
         return FORBIDDEN
     e, cov = innovation(track, detection, settings), track.cov
@@ -102,19 +99,17 @@ def _pair_cost(track: TrackRecord, detection: DetectionRecord, settings: Trackin
     d2 = (e.x * e.x * syy - 2.0 * e.x * e.y * sxy + e.y * e.y * sxx) / det + e.z * e.z / szz
     if d2 > settings.gate:
         return FORBIDDEN
-    if settings.distance_only:
-        return math.sqrt(d2)
     return d2 + math.log(det * szz) - settings.class_weight * math.log(class_agreement(track, detection) + 0.02)
 
 
 @kernel
 def class_agreement(track: TrackRecord, detection: DetectionRecord) -> float:
-    """Probability that track and detection are of one class; 0 for a track without votes."""
+    """Probability that track and detection are of one class."""
     same = total = 0.0
     for c in range(len(track.votes)):
         same += track.votes[c] * detection.class_probabilities[c]
         total += track.votes[c]
-    return same / total if total > 0.0 else 0.0
+    return same / total
 
 
 @kernel

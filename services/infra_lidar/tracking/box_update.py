@@ -30,7 +30,7 @@ def update_tracks(
         correct(track, e)
         _update_size(track, detection, unexplained_x, unexplained_y, settings)
         _update_heading(track, detection.yaw, settings)
-        _update_votes(track, detection, vote_decay, settings)
+        _update_votes(track, detection, vote_decay)
         track.static_score += 0.25 * ((detection.label == BACKGROUND) - track.static_score)
         track.hits += 1
         track.seen_ns = time.stamp_ns
@@ -39,29 +39,16 @@ def update_tracks(
 
 
 @kernel
-def _update_votes(track: TrackRecord, detection: DetectionRecord, decay: float, settings: TrackingSettings) -> None:
-    """Add the class of a detection; the label changes when another class leads by the margin."""
+def _update_votes(track: TrackRecord, detection: DetectionRecord, decay: float) -> None:
+    """Add the class probabilities of a detection; the label is the class with most votes."""
+    track.vote_weight = decay * track.vote_weight + 1.0
+    best = track.label
     for c in range(len(track.votes)):
-        if not settings.mean_votes:
-            track.votes[c] = decay * track.votes[c] + detection.class_probabilities[c]
-            track.vote_count[c] = decay * track.vote_count[c] + 1.0
-        elif c == detection.label:
-            track.votes[c] = decay * track.votes[c] + detection.confidence
-            track.vote_count[c] = decay * track.vote_count[c] + 1.0
-    best = 0
-    for c in range(1, len(track.votes)):
-        if _vote_share(track, c) > _vote_share(track, best):
+        track.votes[c] = decay * track.votes[c] + detection.class_probabilities[c]
+    for c in range(len(track.votes)):
+        if track.votes[c] > track.votes[best]:
             best = c
-    if _vote_share(track, best) > _vote_share(track, track.label) + settings.vote_margin:
-        track.label = best
-
-
-@kernel
-def _vote_share(track: TrackRecord, label: int) -> float:
-    """Share of the votes for a class, 0..1; 0 for "unknown"."""
-    if label >= len(track.votes) or track.vote_count[label] == 0.0:
-        return 0.0
-    return min(track.votes[label] / track.vote_count[label], 1.0)
+    track.label = best
 
 
 @kernel

@@ -16,21 +16,15 @@ Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 class TrackingConfig(Section, frozen=True, kw_only=True):
     """Constant-velocity Kalman filters, Hungarian assignment, lifetimes in seconds."""
 
-    boxes: Literal["visible", "full", "centroid"] = "visible"  # what is measured: the edges of the visible part, the
-    # centre of whole objects, or the mean of the points (article)
+    boxes: Literal["visible", "full"] = "visible"  # what is measured: the edges of the visible part, or the centre of
+    # whole objects
     position_sigma_m: Positive = 0.15  # error of a box edge ("full": of the centre)
     height_sigma_m: Positive = 0.3
-    process: Literal["acceleration", "step"] = "acceleration"  # noise by elapsed time, or constant per frame (article)
     acceleration_sigma: Positive = 2.0  # spectral density of the process noise, m/s^2 per sqrt(Hz)
-    step_position_sigma_m: NotNegative = 0.7  # "step": position noise added in every frame
-    step_velocity_sigma_mps: NotNegative = 1.4  # "step": velocity noise added in every frame
-    birth_sigma_m: NotNegative = 0.0  # of a new track's position; 0 = that of a measurement
     velocity_sigma_mps: Positive = 6.0  # of a new track
     climb_sigma_mps: Positive = 1.0  # of a new track, vertical
     gate: Positive = 7.81  # squared Mahalanobis distance: 95 % of a chi-square with 3 degrees of freedom
-    cost: Literal["likelihood", "distance"] = "likelihood"  # of a pair; "distance" (article): Mahalanobis alone
-    classes: Literal["soft", "hard"] = "soft"  # another class adds cost, or is forbidden (article)
-    class_weight: NotNegative = 1.0  # of the class term in the cost of a pair
+    class_weight: NotNegative = 1.0  # of the class term in the cost of a pair: another class costs more
     size_gain: Share = 0.3  # how fast a track's size follows the measured size
     yaw_gain: Share = 0.3
     initiate_confidence: Share = 0.0  # a detection below this updates a track, but initiates none
@@ -40,14 +34,11 @@ class TrackingConfig(Section, frozen=True, kw_only=True):
     coast_s: NotNegative = 0.6  # a confirmed track ends after this long without a detection ...
     coast_as_known: bool = True  # ... and after no longer than it had been observed before
     score_s: Positive = 0.5  # time constant of the score
-    votes: Literal["probabilities", "mean"] = "probabilities"  # class probabilities added up, or (article) mean
-    # confidence per class
-    vote_s: Positive = 3.0  # time constant of the class votes
-    vote_margin: Share = 0.0  # by how much another class must lead before the label changes
+    vote_s: Positive = 3.0  # time constant of the class votes, which are class probabilities added up
     min_vote: Share = 0.5  # a class needs this share of the votes, or the track is "unknown"
     movement_m: NotNegative = 0.5  # a track stands until it has moved this far within movement_s; 0 = all move
     movement_s: Positive = 1.0
-    split_groups: bool = True  # split a cluster of people where the tracks of its members are predicted (article)
+    split_groups: bool = True  # split a cluster of people where the tracks of its members are predicted
     merge_duplicates: bool = True  # remove a second track inside a vehicle's box that moves with it
     first_id: Annotated[int, Meta(ge=0, le=9999)] = 0  # several sensors on one host: give each its own
 
@@ -58,31 +49,17 @@ class TrackingSettings(NamedTuple):
     position_sigma_m: float
     height_sigma_m: float
     acceleration_sigma: float
-    step_position_sigma_m: float
-    step_velocity_sigma_mps: float
     gate: float
     class_weight: float
     size_gain: float
     yaw_gain: float
     vote_s: float
-    vote_margin: float
     movement_m: float
     visible: bool  # boxes = "visible"
-    step_noise: bool  # process = "step"
-    distance_only: bool  # cost = "distance"
-    same_class_only: bool  # classes = "hard"
-    mean_votes: bool  # votes = "mean"
 
 
 def kernel_settings(config: TrackingConfig) -> TrackingSettings:
     """The settings in the form that kernels take."""
-    flags = {
-        "visible": config.boxes == "visible",
-        "step_noise": config.process == "step",
-        "distance_only": config.cost == "distance",
-        "same_class_only": config.classes == "hard",
-        "mean_votes": config.votes == "mean",
-    }
-    numbers = {name: float(getattr(config, name)) for name in TrackingSettings._fields if name not in flags}
-    values: dict[str, Any] = numbers | flags
-    return TrackingSettings(**values)
+    names = [name for name in TrackingSettings._fields if name != "visible"]
+    numbers: dict[str, Any] = {name: float(getattr(config, name)) for name in names}
+    return TrackingSettings(**numbers, visible=config.boxes == "visible")

@@ -4,8 +4,7 @@ All tracks are one record array (``TRACK``), all boxes of a frame another (``DET
 in the map frame, covariance (6, 6).
 
     predict   p += v dt,  P = F P F' + Q(dt),  Q = a^2 [[dt^3/3, dt^2/2], [dt^2/2, dt]] per axis
-              (white-noise acceleration, Bar-Shalom 2001, 6.2.2: two steps of dt/2 equal one of dt),
-              or the article's constant diagonal Q per frame
+              (white-noise acceleration, Bar-Shalom 2001, 6.2.2: two steps of dt/2 equal one of dt)
     measure   H = [I 0], innovation and noise from the boxes, see ``innovation``
 """
 
@@ -30,7 +29,7 @@ TRACK = np.dtype(
         ("yaw", np.float64),  # rad, map frame
         ("extent_jitter", np.float64),  # difference between visible extent and size, running mean, m
         ("votes", np.float64, CLASS_COUNT),
-        ("vote_count", np.float64, CLASS_COUNT),  # weight of the votes for each class
+        ("vote_weight", np.float64),  # of all votes
         ("label", np.int64),  # index into ``LABELS``
         ("born_ns", np.int64),
         ("seen_ns", np.int64),  # last detection
@@ -76,9 +75,6 @@ def predict(tracks: np.ndarray, dt_s: float, settings: TrackingSettings) -> None
     """Move every track (N,) by ``dt_s`` and grow its covariance, in place."""
     q = settings.acceleration_sigma * settings.acceleration_sigma
     q_position, q_cross, q_velocity = q * dt_s * dt_s * dt_s / 3.0, q * dt_s * dt_s / 2.0, q * dt_s
-    if settings.step_noise:
-        q_position, q_cross = settings.step_position_sigma_m * settings.step_position_sigma_m, 0.0
-        q_velocity = settings.step_velocity_sigma_mps * settings.step_velocity_sigma_mps
     for t in range(len(tracks)):
         mean, cov = tracks[t].mean, tracks[t].cov
         for i in range(3):

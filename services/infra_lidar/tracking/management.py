@@ -8,7 +8,6 @@ import numpy as np
 
 from services.infra_lidar.jit import kernel
 from services.infra_lidar.tracking.config import TrackingConfig, TrackingSettings
-from services.infra_lidar.tracking.detections import CLASS_COUNT
 from services.infra_lidar.tracking.kalman import TRACK, TRAIL, FrameTime, TrackRecord, edge_shift
 
 _MIN_VISIBILITY = 0.45
@@ -136,15 +135,10 @@ def initiate(
     seen, new = detections[index], np.zeros(len(index), TRACK)
     new["track_id"] = first_id + np.arange(len(index))
     new["mean"][:, :3], new["cov"] = seen["position"], _initial_covariance(config)
-    for name in ("size", "yaw", "label", "points"):
+    for name in ("size", "yaw", "points"):
         new[name] = seen[name]
-    if config.votes == "mean":
-        known = np.flatnonzero(seen["label"] < CLASS_COUNT)
-        new["votes"][known, seen["label"][known]] = seen["confidence"][known]
-        new["vote_count"][known, seen["label"][known]] = 1.0
-    else:
-        new["votes"], new["vote_count"] = seen["class_probabilities"], 1.0
-        new["label"] = seen["class_probabilities"].argmax(axis=1)
+    new["votes"], new["vote_weight"] = seen["class_probabilities"], 1.0
+    new["label"] = seen["class_probabilities"].argmax(axis=1)
     new["born_ns"] = new["seen_ns"] = time.stamp_ns
     for name in ("hits", "hit_streak", "frames", "visibility"):
         new[name] = 1
@@ -158,6 +152,6 @@ def initiate(
 
 def _initial_covariance(config: TrackingConfig) -> np.ndarray:
     """(6, 6) of a new track, diagonal: m^2 and (m/s)^2."""
-    plane_m, height_m = config.birth_sigma_m or config.position_sigma_m, config.birth_sigma_m or config.height_sigma_m
+    plane_m, height_m = config.position_sigma_m, config.height_sigma_m
     speed, climb = config.velocity_sigma_mps, config.climb_sigma_mps
     return np.diag(np.square([plane_m, plane_m, height_m, speed, speed, climb]))

@@ -9,7 +9,6 @@ import numpy as np
 
 from common.messages import ObjectTrack
 from services.infra_lidar.classification.classes import LABELS, UNKNOWN
-from services.infra_lidar.tracking.detections import CLASS_COUNT
 
 _STATES: tuple[Literal["tentative", "confirmed", "coasting"], ...] = ("tentative", "confirmed", "coasting")
 
@@ -76,10 +75,6 @@ def report(tracks: np.ndarray, stamp_ns: int, min_vote: float) -> TrackTable:
 
 
 def _label_share(tracks: np.ndarray) -> np.ndarray:
-    """(N,) share of the votes for a track's class, 0..1; 0 for "unknown"."""
-    share = np.zeros(len(tracks))
-    known = np.flatnonzero(tracks["label"] < CLASS_COUNT)
-    label = tracks["label"][known]
-    votes, weight = tracks["votes"][known, label], tracks["vote_count"][known, label]
-    share[known] = np.minimum(votes / np.where(weight > 0.0, weight, 1.0), 1.0)
-    return share
+    """(N,) share of the votes for a track's class, 0..1."""
+    votes = np.take_along_axis(tracks["votes"], tracks["label"][:, None], axis=1)[:, 0]
+    return np.asarray(np.minimum(votes / tracks["vote_weight"], 1.0))

@@ -49,13 +49,6 @@ def test_all_pairs_may_be_within_the_gate() -> None:
     assert sorted(zip(*(column.tolist() for column in pairs[:2]), strict=True)) == [*np.ndindex(30, 40)]
 
 
-def test_a_track_without_votes_can_still_be_matched() -> None:
-    """Unknown objects have none where only the labelled class is voted for."""
-    tracks, seen = tracks_at(np.random.default_rng(6), 1), np.zeros(1, DETECTION)
-    tracks["votes"], seen["position"], seen["class_probabilities"] = 0.0, tracks["mean"][:, :3], 0.2
-    assert len(gated_pairs(tracks, seen, kernel_settings(TrackingConfig(votes="mean"))).cost) == 1
-
-
 def matches_of(cost: np.ndarray) -> dict[int, int]:
     track, detection = np.nonzero(cost < FORBIDDEN)
     matches = assign(Pairs(track, detection, cost[track, detection]))

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import settings as how
 from hypothesis import strategies as st
 
-from benchmarks.article.presets import ARTICLE_TRACKING
 from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig, TrackingConfig
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.tracking import Detections, MultiObjectTracker
@@ -34,12 +33,11 @@ def boxes(*rows: tuple[float, float, float, float, str]) -> Detections:
     seed=st.integers(0, 100_000),
     hits=st.integers(1, 6),
     confirm_s=st.sampled_from([0.0, 0.15, 0.5]),
-    article=st.booleans(),
 )
-def test_states_follow_from_hits_age_and_matches(seed: int, hits: int, confirm_s: float, article: bool) -> None:
+def test_states_follow_from_hits_age_and_matches(seed: int, hits: int, confirm_s: float) -> None:
     """Hits are counted by the matches, age by the stamps. Confirmed without a detection = coasting, with no points."""
     rng = np.random.default_rng(seed)
-    config = ARTICLE_TRACKING if article else TrackingConfig(confirm_hits=hits, confirm_s=confirm_s)
+    config = TrackingConfig(confirm_hits=hits, confirm_s=confirm_s)
     tracker, seen, born, stamp = MultiObjectTracker(config), Counter[int](), dict[int, int](), T0_NS
     for _ in range(25):
         stamp += int(rng.choice([50_000_000, 100_000_000, 300_000_000]))
