@@ -2,8 +2,8 @@
 
     python -m benchmarks.infra_lidar.accuracy
 
-Beside our design stands the article's (same calibration), and on the Argoverse sweep Patchwork++ (pypatchworkpp).
-Recordings are found through SPOTTER_DATA; what is not there is left out with a word.
+Compared with the article's design (same calibration) and, on the Argoverse sweep, with Patchwork++ (pypatchworkpp).
+Recordings are found through SPOTTER_DATA; a missing one is named and left out.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from benchmarks.article.flat_ground import flat_surface
 from benchmarks.article.presets import ARTICLE_CLUSTERING, ARTICLE_GROUND
 from benchmarks.article.second_look import refine_clusters
 from benchmarks.datasets.labelled_boxes import LabelledFrame, labelled_frames
-from benchmarks.infra_lidar.frames import Frame, frames_of, turns
+from benchmarks.infra_lidar.frames import Frame, frames_of, revolutions
 from services.infra_lidar.calibration.plane_fit import Calibrator
 from services.infra_lidar.classification.classes import CLASSES, LABELS
 from services.infra_lidar.classification.classifier import Classifier
@@ -76,7 +76,7 @@ def calibration() -> None:
 
 
 def streets(kinds: tuple[str, ...], objects: int) -> list[Frame]:
-    """One turn of each of some streets of every kind."""
+    """One revolution of each of some streets of every kind."""
     return [frames_of(20 + seed, objects, 1, 1800, kind)[0] for kind in kinds for seed in range(CLUSTER_SCENES)]
 
 
@@ -132,7 +132,7 @@ def learned_scenes() -> None:
     for seed in LEARNED_SEEDS:
         of_points, of_ranges = InfraLidarPipeline(InfraLidarConfig()), InfraLidarPipeline(InfraLidarConfig())
         whole = InfraLidarPipeline(InfraLidarConfig(background=BackgroundConfig(enabled=False)))
-        for k, frame in enumerate(turns(seed, 60, LEARNED_FRAMES, 1800)):
+        for k, frame in enumerate(revolutions(seed, 60, LEARNED_FRAMES, 1800)):
             stamp_ns = k * 100_000_000 + 1
             results = of_points.process(stamp_ns, frame.points), of_ranges.process(stamp_ns, frame.image)
             if k < 10:

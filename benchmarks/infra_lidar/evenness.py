@@ -2,9 +2,8 @@
 
     python -m benchmarks.infra_lidar.evenness
 
-Processor time of one thread. Between two frames the next one is made, which fills the caches with other things, as a
-service's other work between two turns does. The first frames, in which buffers grow and the scene is learned, are left
-out.
+Processor time of one thread. Between two frames the next one is generated, which evicts the caches as the other work of
+a service does. The first frames, in which buffers grow and the scene is learned, are left out.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from time import thread_time
 import numpy as np
 
 from benchmarks.article.article_both import START_NS, ArticleByKernels, train
-from benchmarks.infra_lidar.frames import Frame, as_arrived, turns
+from benchmarks.infra_lidar.frames import Frame, as_arrived, revolutions
 from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
 from services.infra_lidar.input.range_image import Returns
 from services.infra_lidar.pipeline import InfraLidarPipeline
@@ -51,7 +50,7 @@ def main() -> None:
         }
         article.begin()
         spent: dict[str, list[float]] = {name: [] for name in ways}
-        for k, frame in enumerate(turns(7, objects, FRAMES)):
+        for k, frame in enumerate(revolutions(7, objects, FRAMES)):
             for name, process in ways.items():
                 arrived = as_arrived(frame)
                 begun = thread_time()

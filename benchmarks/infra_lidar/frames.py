@@ -1,4 +1,4 @@
-"""Turns of generated streets for the roadside lidar's benchmarks, with their truth."""
+"""Revolutions of generated streets for the roadside lidar's benchmarks, with their truth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from spotter_sim import lidar128, roadside, world
 
 @dataclass(frozen=True)
 class Frame:
-    """One turn with its truth.
+    """One revolution with its truth.
 
     image: what the sensor measured, a row a column; ``place`` (N,) is where the points are in it.
     """
@@ -28,12 +28,12 @@ class Frame:
 
 
 def frames_of(seed: int, objects: int, count: int, columns: int = 2300, kind: str = "open") -> list[Frame]:
-    """Consecutive turns of a generated street, about 180 000 returns each at 2300 columns."""
-    return list(turns(seed, objects, count, columns, kind))
+    """Consecutive revolutions of a generated street, about 180 000 returns each at 2300 columns."""
+    return list(revolutions(seed, objects, count, columns, kind))
 
 
-def turns(seed: int, objects: int, count: int, columns: int = 2300, kind: str = "open") -> Iterator[Frame]:
-    """The same one by one: a minute of them has no room in memory."""
+def revolutions(seed: int, objects: int, count: int, columns: int = 2300, kind: str = "open") -> Iterator[Frame]:
+    """The same one by one, because a minute of them does not fit in memory."""
     scenario = roadside.roadside(seed, objects, kind)  # type: ignore[arg-type]
     for k in range(count):
         t_s = 4.0 + 0.1 * k
@@ -50,7 +50,7 @@ def turns(seed: int, objects: int, count: int, columns: int = 2300, kind: str = 
 
 
 def image_of(scan: lidar128.Scan, columns: int) -> tuple[RangeImage, np.ndarray]:
-    """The range image of a turn, and (N,) the places of its returns in it."""
+    """The range image of a revolution, and (N,) the places of its returns in it."""
     turned = np.pi - np.arctan2(scan.xyz[:, 1], scan.xyz[:, 0])
     column = np.round(turned * columns / (2 * np.pi) - 0.5).astype(int) % columns
     range_m, intensity = np.zeros((columns, lidar128.RINGS), np.float32), np.zeros((columns, lidar128.RINGS), np.uint8)

@@ -2,11 +2,11 @@
 
     python -m benchmarks.infra_lidar.motorway
 
-Ten single pictures of one place, seconds apart, without labels. A cluster that is called car or large vehicle is false
-when it is off the carriageways, or when more than half of its points are where the authors' model of the empty road has
-something that stands. The model's road is left out: it is as coarse as half a metre, and the lower half of a car would
-be taken for road. Learned is from the other pictures, never from the one that is judged. No track lives from picture to
-picture, so only clutter labels itself: ``adapt`` itself refuses such a recording.
+Ten single revolutions of one place, seconds apart, without labels. A cluster that is called car or large vehicle is
+false when it is off the carriageways, or when more than half of its points are where the authors' model of the empty
+road has a standing object. The model's road is left out: it is as coarse as half a metre, and the lower half of a car
+would be taken for road. Training uses the other revolutions, never the one that is evaluated. No track continues from
+one to the next, so only clutter gets labels; ``adapt`` refuses such a recording.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ WHOLE = InfraLidarConfig(calibration=ROADSIDE_MAST, background=BackgroundConfig(
 
 
 class EmptyRoad:
-    """What stands there without traffic; T_level_sensor: where the road is."""
+    """The static objects without traffic; T_level_sensor: where the road is."""
 
     def __init__(self, T_level_sensor: np.ndarray) -> None:
         with np.load(FOLDER / "background.npz") as stored:
@@ -60,7 +60,7 @@ class EmptyRoad:
         return off_the_road or bool(np.mean(self._stands.query(points)[0] < SCENE_M) > 0.5)
 
 
-def pictures() -> list[np.ndarray]:
+def revolutions() -> list[np.ndarray]:
     """(N, 3) float32 points of each, sensor frame; none where the recording is not there."""
     found = []
     for path in sorted(FOLDER.glob("frame_*.npz")):
@@ -79,7 +79,7 @@ def count(result: FrameResult, empty: EmptyRoad) -> tuple[int, int, int]:
 
 
 def settled_calibration(frames: list[np.ndarray]) -> Calibration:
-    """Where the road is, from the first pictures."""
+    """Where the road is, from the first revolutions."""
     pipeline = InfraLidarPipeline(WHOLE)
     for number, points in enumerate(frames[:5]):
         pipeline.process((number + 1) * APART_NS, points)
@@ -89,7 +89,7 @@ def settled_calibration(frames: list[np.ndarray]) -> Calibration:
 
 
 def site_forest(frames: list[np.ndarray], calibration: Calibration, generated: Examples) -> Forest:
-    """Grown from what stands in these pictures."""
+    """A forest trained with the clutter of these revolutions."""
     pipeline, recorder = InfraLidarPipeline(WHOLE, calibration), SiteRecorder(FEATURES, WHOLE.ground.range_max_m)
     for number, points in enumerate(frames):
         recorder.add(pipeline.process((number + 1) * APART_NS, points), {})
@@ -100,7 +100,7 @@ def site_forest(frames: list[np.ndarray], calibration: Calibration, generated: E
 def judged(
     learn: list[np.ndarray], judge: list[np.ndarray], calibration: Calibration, forest: Forest | None
 ) -> Iterator[FrameResult]:
-    """Each picture of ``judge``, after the background of ``learn``; none is learned where that is empty."""
+    """Results for each revolution of ``judge``, with the background learned from ``learn``, if that is not empty."""
     background = BackgroundConfig(min_frames=max(len(learn), 5), learn_s=1.0, enabled=bool(learn))
     config = msgspec.structs.replace(WHOLE, background=background)
     pipeline = InfraLidarPipeline(config, calibration)
@@ -115,7 +115,7 @@ def judged(
 
 def main() -> None:
     """The command above."""
-    frames = pictures()
+    frames = revolutions()
     if not frames:
         print("no roadside recording here (SPOTTER_DATA)")
         return
@@ -129,7 +129,7 @@ def main() -> None:
         for name, of, used in (("nothing learned", [], None), ("background learned", learn, None),
                                ("site forest", [], forest), ("both", learn, forest)):  # fmt: skip
             rows.setdefault(name, []).extend(count(result, empty) for result in judged(of, judge, calibration, used))
-    print(f"{'a picture':<20}{'false vehicles':>16}{'most':>6}{'other vehicles':>16}{'unknown':>9}")
+    print(f"{'per revolution':<20}{'false vehicles':>16}{'most':>6}{'other vehicles':>16}{'unknown':>9}")
     for name, counts in rows.items():
         false, other, unknown = np.array(counts).T
         print(f"{name:<20}{np.mean(false):16.1f}{max(false):6d}{np.mean(other):16.1f}{np.mean(unknown):9.1f}")

@@ -1,4 +1,4 @@
-"""Packets of each sensor to a range image: a turn at 10 Hz, all of it and what is left when its last packet is there.
+"""Packets of each sensor to a range image: time for a revolution at 10 Hz, and for the rest after its last packet.
 
 Packets are made here, with random ranges. The plain version reads one packet field by field with ``struct``.
 """
@@ -19,10 +19,10 @@ from services.infra_lidar.input.revolution import BATCH_PACKETS, PacketDecoder, 
 
 RNG = np.random.default_rng(1)
 REPEATS = 30
-Turn = tuple[np.ndarray, PacketDecoder, Callable[[bytes], int]]
+Revolution = tuple[np.ndarray, PacketDecoder, Callable[[bytes], int]]
 
 
-def vls128() -> Turn:
+def vls128() -> Revolution:
     """600 packets of three firing sequences."""
     raw = RNG.integers(1, 200, (600, velodyne.PACKET_BYTES)).astype(np.uint8)
     for block in range(velodyne.BLOCKS):
@@ -32,7 +32,7 @@ def vls128() -> Turn:
     return raw, velodyne.DECODER, lambda packet: _plain(packet, "<HB", range(4, 1204, 100), 32)
 
 
-def pandar128() -> Turn:
+def pandar128() -> Revolution:
     """1800 columns of 128 channels, two a packet, one return."""
     template = np.frombuffer(hesai.silent_packet(), np.uint8)
     raw = np.tile(template, (900, 1))
@@ -46,7 +46,7 @@ def pandar128() -> Turn:
     return raw, decoder, lambda packet: _plain(packet, "<HB", (14, 400), 128)
 
 
-def ruby_plus() -> Turn:
+def ruby_plus() -> Revolution:
     """1800 columns of 128 channels, three a packet, one return."""
     raw = RNG.integers(1, 200, (600, robosense.PACKET_BYTES)).astype(np.uint8)
     raw[:, :4] = list(robosense.MSOP)
@@ -58,7 +58,7 @@ def ruby_plus() -> Turn:
     return raw, decoder, lambda packet: _plain(packet, ">HB", (84, 472, 860), 128)
 
 
-def ouster(profile: str) -> Turn:
+def ouster(profile: str) -> Revolution:
     """2048 columns of 128 beams, 16 a packet."""
     document = {
         "beam_altitude_angles": np.linspace(20, -20, 128).tolist(),
@@ -111,9 +111,9 @@ def best_ms(run: Callable[[], object]) -> float:
     return min(times)
 
 
-def measure(name: str, turn: Turn) -> None:
+def measure(name: str, revolution: Revolution) -> None:
     """Print a line."""
-    raw, decoder, plain = turn
+    raw, decoder, plain = revolution
     image = decode_revolution(raw, decoder)
     whole_ms = best_ms(lambda: decode_revolution(raw, decoder))
     rest = len(raw) % BATCH_PACKETS or min(BATCH_PACKETS, len(raw))

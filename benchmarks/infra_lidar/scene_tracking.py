@@ -47,7 +47,7 @@ class SceneResult:
 
 
 def run_scene(scenario: Scenario, frames: int, configs: Sequence[InfraLidarConfig]) -> list[SceneResult]:
-    """Track ``frames`` turns of a scenario with each of the configurations and compare with its truth."""
+    """Track ``frames`` revolutions of a scenario with each of the configurations and compare with its truth."""
     pose = tuple(float(v) for v in scenario.scene.T_map_pole.ravel())
     pipelines = [InfraLidarPipeline(msgspec.structs.replace(config, T_map_sensor=pose)) for config in configs]
     results = [SceneResult() for _ in configs]

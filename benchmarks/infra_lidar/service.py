@@ -5,7 +5,7 @@
 
 A process of its own sends the packets of a simulated junction in real time, as the sensor does; the service runs as in
 the field and learns its background in the first five seconds. What comes after that counts. Latency is from the last
-packet of a turn (as the receive thread got it) to the publication of its tracks, and to their arrival here.
+packet of a revolution (as the receive thread got it) to the publication of its tracks, and to their arrival here.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import zenoh
 
-from benchmarks.infra_lidar.vls128_packets import FIRINGS, turn_packets
+from benchmarks.infra_lidar.vls128_packets import FIRINGS, revolution_packets
 from benchmarks.onboard.dashboard import free_port, pause, process
 from common.bus.session import build, open_session
 from common.clock import utc_ns
@@ -35,14 +35,14 @@ from services.infra_lidar.input.velodyne import CYCLE_US
 from spotter_sim import lidar128
 
 START_S, LEARN_S, SETTLE_S = 6.0, 5.0, 12.0  # imports and kernels; the background; until it counts
-TURNS, FIRST_T_S = 20, 3.0
+REVOLUTIONS, FIRST_T_S = 20, 3.0
 COLUMNS = {10: 1809, 20: 903}
 BURST = 6  # packets that are sent at a time: a millisecond
 
 
 @dataclass
-class Heard:
-    """What one instance says from ``from_ns`` on."""
+class Received:
+    """The messages of one instance from ``from_ns`` on."""
 
     host: str
     from_ns: int = 2**63
@@ -52,27 +52,27 @@ class Heard:
 
     def listen(self, session: zenoh.Session) -> None:
         """Subscribe to the tracks and the status of ``host``."""
-        session.declare_subscriber(INFRA_TRACKS.key(self.host), self._hear)
-        session.declare_subscriber(f"{self.host}/infra_lidar/status", self._hear_status)
+        session.declare_subscriber(INFRA_TRACKS.key(self.host), self._on_tracks)
+        session.declare_subscriber(f"{self.host}/infra_lidar/status", self._on_status)
 
-    def _hear(self, sample: zenoh.Sample) -> None:
+    def _on_tracks(self, sample: zenoh.Sample) -> None:
         now_ns = utc_ns()
         if now_ns > self.from_ns:
             self.arrived_ns.append(now_ns)
             self.tracks.append(decode(sample.payload.to_bytes(), ObjectTracks))
 
-    def _hear_status(self, sample: zenoh.Sample) -> None:
+    def _on_status(self, sample: zenoh.Sample) -> None:
         if utc_ns() > self.from_ns:
             self.status.append(decode(sample.payload.to_bytes(), ServiceStatus))
 
 
 def send(port: int, rate_hz: int, seconds: float) -> None:
     """The sensor: the same two seconds again and again, packet by packet when each is due. Prints what it sent."""
-    turns = [
-        turn_packets(lidar128.scan("crossing", FIRST_T_S + k / rate_hz, COLUMNS[rate_hz]), COLUMNS[rate_hz])
-        for k in range(TURNS)
+    revolutions = [
+        revolution_packets(lidar128.scan("crossing", FIRST_T_S + k / rate_hz, COLUMNS[rate_hz]), COLUMNS[rate_hz])
+        for k in range(REVOLUTIONS)
     ]
-    packets = [packet for turn in turns for packet in turn]
+    packets = [packet for revolution in revolutions for packet in revolution]
     period_s = FIRINGS * CYCLE_US * 1e-6
     print("ready", flush=True)
     sys.stdin.readline()
@@ -109,16 +109,16 @@ def sender(port: int, rate_hz: int, seconds: float) -> Iterator[subprocess.Popen
             child.kill()
 
 
-def run(rate_hz: int, seconds: float, instances: int) -> list[Heard]:
+def run(rate_hz: int, seconds: float, instances: int) -> list[Received]:
     """Let ``instances`` sensors and services run for the time to settle and ``seconds`` more."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    heard = [Heard(f"infra{number}") for number in range(instances)]
+    received = [Received(f"infra{number}") for number in range(instances)]
     with ExitStack() as stack:
         router = ZenohConfig(mode="router", connect=(), listen=(endpoint,), namespace="")
         stack.enter_context(zenoh.open(build(router)))
         session = stack.enter_context(open_session(ZenohConfig(connect=(endpoint,))))
         sensors = []
-        for one in heard:
+        for one in received:
             port = free_port()
             sensors.append(stack.enter_context(sender(port, rate_hz, SETTLE_S + seconds + 30.0)))
             stack.enter_context(process(
@@ -133,16 +133,16 @@ def run(rate_hz: int, seconds: float, instances: int) -> list[Heard]:
             sensor.stdin.write("go\n")
             sensor.stdin.flush()
         pause(SETTLE_S)
-        for one in heard:
+        for one in received:
             one.from_ns = utc_ns()
         pause(seconds)
-    return heard
+    return received
 
 
-def report(rate_hz: int, one: Heard) -> float:
-    """Print what was heard of an instance; returns its share of a core."""
+def report(rate_hz: int, one: Received) -> float:
+    """Print the figures of an instance; returns its share of a core."""
     if len(one.status) < 2 or not one.tracks:
-        print(f"  {one.host}: nothing was heard")
+        print(f"  {one.host}: no messages received")
         return 0.0
     first, last, stamps = one.status[0], one.status[-1], [m.stamp_ns for m in one.tracks]
     span_s = (last.sent_ns - first.sent_ns) / 1e9
@@ -152,14 +152,14 @@ def report(rate_hz: int, one: Heard) -> float:
         [(a - m.received_ns) / 1e6 for a, m in zip(one.arrived_ns, one.tracks, strict=True)], (50, 99)
     )
     missing = one.tracks[-1].seq - one.tracks[0].seq + 1 - len(stamps)
-    turns = (stamps[-1] - stamps[0]) / 1e9 * rate_hz + 1.0
+    expected = (stamps[-1] - stamps[0]) / 1e9 * rate_hz + 1.0
     print(
         f"  {one.host} at {rate_hz} Hz, {span_s:.0f} s, {one.tracks[-1].points_in} points, "
         f"{len(one.tracks[-1].tracks)} tracks: published {p50:.2f} ms after the last packet (p99 {p99:.2f}), "
         f"here after {a50:.2f} (p99 {a99:.2f}); processor {cpu:.1%} of a core; "
         f"memory {first.rss_mb:.0f} to {last.rss_mb:.0f} MB\n"
-        f"    {len(stamps)} of {turns:.0f} turns, dropped {last.dropped - first.dropped}, messages missing {missing}, "
-        f"rejected {last.bad_input - first.bad_input}; "
+        f"    {len(stamps)} of {expected:.0f} revolutions, dropped {last.dropped - first.dropped}, "
+        f"messages missing {missing}, rejected {last.bad_input - first.bad_input}; "
         + "; ".join(sorted({f"{m.state} {m.reason}".strip() for m in one.tracks}))
     )
     return cpu

@@ -25,7 +25,7 @@ import numpy as np
 from sklearn.ensemble import RandomForestClassifier
 
 from benchmarks.article.article_both import START_NS, ArticleByKernels, TimedPlain, train
-from benchmarks.infra_lidar.frames import Frame, as_arrived, frames_of, own_cluster_share, turns
+from benchmarks.infra_lidar.frames import Frame, as_arrived, frames_of, own_cluster_share, revolutions
 from benchmarks.infra_lidar.others import print_others
 from services.infra_lidar.calibration.plane_fit import Calibration
 from services.infra_lidar.classification.forest import Forest
@@ -48,9 +48,9 @@ def compare(objects: int, model: RandomForestClassifier, forest: Forest) -> None
     gc.freeze()
     plain_ms: dict[str, list[float]] = {}
     our_ms: dict[str, list[float]] = {}
-    turns = (ours, our_ms), (plain, plain_ms), (ours, our_ms)
+    order = (ours, our_ms), (plain, plain_ms), (ours, our_ms)
     for _ in range(ROUNDS):
-        for pipeline, spent in turns:
+        for pipeline, spent in order:
             pipeline.begin()
             for frame in frames:
                 pipeline.process(as_arrived(frame))
@@ -86,8 +86,7 @@ def _agreement(frames: list[Frame], plain: TimedPlain, ours: ArticleByKernels) -
         matched += int((near[:, 1] < 0.02).sum())
         same_class += int((a["labels"] == b["labels"][near[:, 0].astype(int)])[near[:, 1] < 0.02].sum())
         theirs = np.array([t.x[:3] for t in plain.tracker.tracks if t.confirmed]).reshape(-1, 3)
-        known = [track.position_m for track in ours.tracker.messages() if track.state != "tentative"]
-        twins.append(_nearest(theirs, np.array(known).reshape(-1, 3))[:, 1])
+        twins.append(_nearest(theirs, ours.tracker.state[ours.tracker.confirmed, :3])[:, 1])
     return (
         f"{total // FRAMES} clusters; equal: clusters {matched / total:.2%}, "
         f"classes {same_class / max(matched, 1):.2%}, confirmed tracks {np.mean(np.concatenate(twins) < 0.05):.2%}"
@@ -168,7 +167,7 @@ class Way:
 def learned_scene(objects: int) -> tuple[Calibration, BackgroundModel, BackgroundModel]:
     """What a pole knows after its first 20 seconds of that street, seen as points and as ranges."""
     of_points, of_ranges = InfraLidarPipeline(InfraLidarConfig()), InfraLidarPipeline(InfraLidarConfig())
-    for k, frame in enumerate(turns(7, objects, FRAMES + 300)):
+    for k, frame in enumerate(revolutions(7, objects, FRAMES + 300)):
         if k >= FRAMES:
             of_points.process(START_NS + k * 100_000_000, frame.points)
             of_ranges.process(START_NS + k * 100_000_000, frame.image)

@@ -42,7 +42,7 @@ class Outcome:
 
 
 def outcomes(seeds: range, prior_of: Callable[[float], float]) -> list[Outcome]:
-    """One turn of each street, calibrated with the prior that ``prior_of`` makes of the true pitch, degrees."""
+    """One revolution of each street, calibrated with the prior that ``prior_of`` makes of the true pitch, degrees."""
     found = []
     for seed in seeds:
         scenario = street(seed)

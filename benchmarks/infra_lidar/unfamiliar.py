@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.datasets.labelled_boxes import LabelledFrame, labelled_frames
 from benchmarks.infra_lidar.accuracy import DATA, MIN_POINTS, ON_A_VEHICLE
 from benchmarks.infra_lidar.foreign import distance_fields, meshes, superquadrics
-from benchmarks.infra_lidar.motorway import ROADSIDE_MAST, EmptyRoad, pictures
+from benchmarks.infra_lidar.motorway import ROADSIDE_MAST, EmptyRoad, revolutions
 from services.infra_lidar.calibration.plane_fit import Calibrator
 from services.infra_lidar.classification.classes import CLASSES, UNKNOWN, VEHICLES
 from services.infra_lidar.classification.classifier import Classification, Classifier, without_vehicles
@@ -139,8 +139,8 @@ def _boxes_of(frame: LabelledFrame, classifier: Classifier) -> Iterator[tuple[in
 
 
 def motorway(classifier: Classifier) -> None:
-    """False vehicles of each picture, as ``motorway.py`` counts them."""
-    frames = pictures()
+    """False vehicles of each revolution, as ``motorway.py`` counts them."""
+    frames = revolutions()
     if not frames:
         print("  no roadside recording here (SPOTTER_DATA)")
         return
@@ -152,7 +152,7 @@ def motorway(classifier: Classifier) -> None:
         rows = np.split(found.clusters.members, found.clusters.offsets[1:-1])
         false.append(sum(empty.explains(points[rows[k]]) for k in vehicles))
         true.append(len(vehicles) - false[-1])
-    print(f"  false vehicles a picture {np.mean(false):.1f} (most {max(false)}), others {np.mean(true):.1f}")
+    print(f"  false vehicles per revolution {np.mean(false):.1f} (most {max(false)}), others {np.mean(true):.1f}")
 
 
 def main(model: str = "") -> None:
@@ -162,7 +162,7 @@ def main(model: str = "") -> None:
     print_clusters(classifier)
     print(f"\nlabelled real boxes of {MIN_POINTS} points or more, single frames from vehicles")
     boxes(classifier)
-    print("\nmotorway from a mast, single pictures, nothing learned")
+    print("\nmotorway from a mast, single revolutions, nothing learned")
     motorway(classifier)
 
 

@@ -1,4 +1,4 @@
-"""A simulated turn as the packets a VLS-128 would send: what ``services/infra_lidar/input/velodyne.py`` reads."""
+"""A simulated revolution as the packets a VLS-128 would send: what ``services/infra_lidar/input/velodyne.py`` reads."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ STRONGEST = 0x37
 SAME_SURFACE = 0.1  # two ranges that differ by less are of one surface
 
 
-def turn_packets(scan: Scan, columns: int) -> np.ndarray:
-    """(P, 1206) uint8: the packets of a turn of ``columns`` (a multiple of three) firing sequences, clockwise.
+def revolution_packets(scan: Scan, columns: int) -> np.ndarray:
+    """(P, 1206) uint8: the packets of a revolution of ``columns`` (a multiple of three) firing sequences, clockwise.
 
     The lasers of a VLS-128 look elsewhere than the simulated ones: between two simulated ranges of one surface the
     inverse range is interpolated (exact on a plane), elsewhere the nearer beam counts. Time stamps are left 0.

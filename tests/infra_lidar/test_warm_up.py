@@ -17,7 +17,7 @@ from services.infra_lidar.warm_up import CLUSTERS, kinds_that_may_come, second_c
 
 WHAT_FRAMES_COMPILE = """
 import sys
-from benchmarks.infra_lidar.frames import turns
+from benchmarks.infra_lidar.frames import revolutions
 from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
 from services.infra_lidar.input.ouster import OusterFormat, decode
 from services.infra_lidar.input.revolution import stack_packets
@@ -36,7 +36,7 @@ before = compiled()
 config = InfraLidarConfig(background=BackgroundConfig(learn_s=0.5, min_frames=5))
 of_packets = revolutions_of(Vls128Parser())
 of_points, of_ranges = InfraLidarPipeline(config), InfraLidarPipeline(config)
-for k, frame in enumerate(turns(3, objects=12, count=12, columns=600)):
+for k, frame in enumerate(revolutions(3, objects=12, count=12, columns=600)):
     of_points.process(k * 10**8, frame.points)
     of_ranges.process(k * 10**8, frame.image)
 InfraLidarPipeline(config).process(0, of_packets[0].range_image)

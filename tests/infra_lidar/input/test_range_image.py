@@ -1,4 +1,4 @@
-"""A turn as ranges tells the same as its points do, whoever asks."""
+"""A revolution as range image and as points gives the same results in every step."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.infra_lidar.frames import turns
+from benchmarks.infra_lidar.frames import revolutions
 from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig
 from services.infra_lidar.input.range_image import RangeImage, count_of, points_of, sample_of
 from services.infra_lidar.input.velodyne import Vls128Parser
@@ -134,7 +134,7 @@ def test_a_pipeline_sees_the_same_in_ranges_and_points():
     config = InfraLidarConfig(background=BackgroundConfig(learn_s=2.0, min_frames=20))
     of_ranges, of_points = InfraLidarPipeline(config), InfraLidarPipeline(config)
     subtracted = 0
-    for k, frame in enumerate(turns(3, objects=12, count=32, columns=600)):
+    for k, frame in enumerate(revolutions(3, objects=12, count=32, columns=600)):
         a, b = of_ranges.process(k * 10**8, frame.image), of_points.process(k * 10**8, frame.points)
         assert a.points_in == b.points_in == len(frame.points)
         assert len(a.clusters) == pytest.approx(len(b.clusters), abs=2)
@@ -162,7 +162,7 @@ def test_a_frame_without_returns_is_no_clear_road():
 
 def test_beams_that_are_lost_are_missed_in_ranges():
     pipeline = InfraLidarPipeline(InfraLidarConfig(background=BackgroundConfig(learn_s=2.0, min_frames=20)))
-    frames = [frame.image for frame in turns(3, objects=5, count=30, columns=600)]
+    frames = [frame.image for frame in revolutions(3, objects=5, count=30, columns=600)]
     for k in range(120):
         image = frames[k % 30]
         if k >= 60:
