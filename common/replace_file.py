@@ -1,4 +1,4 @@
-"""Writing a file that is in use: a reader, and whoever starts after a power cut, finds the old one or the new one."""
+"""Atomic file replacement: readers see the old or the new file, never a part, also after a power cut."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Write the text beside the file and put it in its place; a link stays a link, and the file's mode is kept.
+    """Write a temporary file and rename it over the old one; a link stays a link, and the file's mode is kept.
 
     Raises:
         OSError: it cannot be written; a file of that name stays as it was.

@@ -61,7 +61,7 @@ class Uncovered(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class WayAhead(msgspec.Struct, frozen=True, kw_only=True):
-    """Where the vehicle will pass if it goes on like this, and how far it needs to stop."""
+    """The path of the vehicle if it keeps its motion, and its stopping distance."""
 
     motion: Literal["driving", "standing", "reversing", "unknown"]  # unknown and standing: straight ahead
     curvature_per_m: Finite  # of the origin's track, left positive
@@ -71,14 +71,14 @@ class WayAhead(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Verdict(Message, kw_only=True):
-    """What fusion says: how dangerous it is, by which rule, and from what. SAFE is never said for want of data.
+    """Fusion's result: the danger level, the rule that decided, and the inputs. Missing data never gives SAFE.
 
-    ``source_kind`` is "live" only if every input that was weighed is live; whoever moves a vehicle takes no other.
+    ``source_kind`` is "live" only if every input used is live. Actuators must ignore verdicts that are not "live".
     """
 
     level: Level
     rule: Name  # id of the rule that decided
-    because: Text  # a sentence for a person
+    because: Text  # a sentence for people
     inputs: dict[Name, VerdictInput]
     confirmed: bool
     suppressed: bool
@@ -95,14 +95,14 @@ class Verdict(Message, kw_only=True):
 
 
 class GateState(SensorMessage, kw_only=True):
-    """What the gate tells the actuator, and why; ``state`` and ``reason`` are about the way to the actuator."""
+    """The gate's output to the actuator, and why; ``state`` and ``reason`` concern the connection to the actuator."""
 
     permission: Literal["GO", "SLOW", "STOP"]
     limit_mps: NotNegative  # speed limit, 0 with STOP
     cause: Name  # "verdict", or the fault that stops, or "waiting", "acknowledge"
     because: Text
     left_s: NotNegative  # of good verdicts until it may move again
-    acknowledge: bool  # a person has to say so first
+    acknowledge: bool  # a person has to acknowledge first
     verdict_seq: Count | None  # of the newest verdict that could be read
     verdict_age_s: NotNegative | None
     outputs: dict[Name, Text]  # by URL: what the actuator says that it does, or what is wrong with it

@@ -61,7 +61,7 @@ def measure() -> tuple[np.ndarray, np.ndarray]:
         fusion = stack.enter_context(Service("fusion", ServiceConfig(host="jetson0", zenoh=config)))
         publish = fusion.publisher(FUSION_VERDICT)
         kept = listener.declare_subscriber(FUSION_VERDICT.key("jetson0"), hear)
-        while not publish.heard or not actuator.accepted_s:
+        while not publish.has_subscribers or not actuator.accepted_s:
             threading.Event().wait(0.05)
         for seq in range(COUNT):
             sent_s[seq] = monotonic_s()

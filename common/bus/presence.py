@@ -1,6 +1,6 @@
-"""Who is there: liveliness tokens as a live set of (host, service, instance).
+"""Which services are present: liveliness tokens as a live set of (host, service, instance).
 
-A token says that a process is there, not that it works; whoever decides needs fresh data as well.
+A token says that a process runs, not that it works. Consumers must also check the age of the data.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def successor(instance: str, predecessor: str) -> str:
 
 
 def claimants(instances: Collection[str]) -> set[str]:
-    """Instances that claim a service for themselves: without those whose announced successor is there too."""
+    """Instances that claim a service, without those whose announced successor is present."""
     succeeded = {instance.partition(AFTER)[2] for instance in instances}
     return {one for one in instances if one.partition(AFTER)[0] not in succeeded} or set(instances)
 

@@ -35,9 +35,9 @@ _RING_FOR_WILDCARD = 64
 
 
 class Publisher:
-    """Call it with a message: it counts, stamps the sending time, encodes, checks as a reader would, and puts.
+    """Call it with a message: it adds sequence number and sending time, encodes, checks as a reader would, and sends.
 
-    A message that its readers would refuse is mended where that invents nothing, and else not sent; both are counted.
+    Out-of-range values are clipped (``common/mend.py``); what cannot be clipped is not sent. Both are counted.
     """
 
     def __init__(self, session: zenoh.Session, topic: Topic, key: str, report: Report) -> None:
@@ -57,23 +57,23 @@ class Publisher:
         return publisher, threading.Event()
 
     def move(self, key: str) -> threading.Event:
-        """Speak under another key from the next message on; the event is set once that message is out."""
+        """Publish under another key from the next message on; the event is set once that message was sent."""
         self._out = self._declare(key)  # one assignment: the thread that publishes sees either the old or the new
         return self._out[1]
 
     @property
     def decided_on(self) -> bool:
-        """Others act on this topic: it has an age limit."""
+        """True if consumers act on this topic, which means that it has an age limit."""
         return self._topic.age_limit_s is not None
 
     @property
     def wanted(self) -> bool:
-        """False when nobody listens to an on-demand topic, so that the work of making it can be spared."""
-        return self.heard if self._topic.on_demand else True
+        """False for an on-demand topic without subscribers: its messages need not be made."""
+        return self.has_subscribers if self._topic.on_demand else True
 
     @property
-    def heard(self) -> bool:
-        """Somebody listens now."""
+    def has_subscribers(self) -> bool:
+        """True while a subscriber matches."""
         status: Any = self._out[0].matching_status  # an object that is always true, whatever its stub says
         return bool(status.matching)
 
@@ -84,7 +84,7 @@ class Publisher:
         message.sent_ns = utc_ns()
         if self._report.source_kind != "unknown":
             message.source_kind = self._report.source_kind
-        publisher, spoken = self._out
+        publisher, sent = self._out
         try:
             payload, mended = encode_for_readers(message)
         except EncodeError as error:
@@ -95,14 +95,14 @@ class Publisher:
         if mended:
             self._report.count(f"mended {self._topic.name}")
         publisher.put(payload)
-        spoken.set()
+        sent.set()
         self._seq += 1
         self._report.published(message, primary=self.decided_on)
 
 
 @dataclass(frozen=True)
 class Received(Generic[M]):
-    """A message with when it came, on the reader's own clocks, and from where."""
+    """A message with its key and its arrival time on the reader's own clocks."""
 
     key: str
     message: M
@@ -111,7 +111,7 @@ class Received(Generic[M]):
 
 
 class Latest(Generic[M]):
-    """Newest value per key: a slow reader skips, it never queues. Decoding happens in ``take``, in the reader's thread.
+    """Newest value per key: a slow reader skips messages. Decoding happens in ``take``, in the reader's thread.
 
     ``wake`` is set on every arrival, so that one loop can wait for several subscriptions.
     """
@@ -131,7 +131,7 @@ class Latest(Generic[M]):
         self._wake = wake
         self._lock = threading.Lock()
         self._newest: dict[str, tuple[zenoh.Sample, float, int]] = {}
-        self.refused: dict[str, str] = {}  # by key: what was wrong with what the last ``take`` refused
+        self.refused: dict[str, str] = {}  # by key: the error of each message that the last ``take`` refused
         ring = _RING_FOR_WILDCARD if "*" in key_expr else 1
         self._subscriber = session.declare_subscriber(key_expr, zenoh.handlers.RingChannel(ring))
         self._thread = threading.Thread(target=self._receive, name=f"latest {topic.name}", daemon=True)
@@ -147,7 +147,7 @@ class Latest(Generic[M]):
             try:
                 message = decode(sample.payload.to_bytes(), self._type, self._topic.max_bytes)
             except DecodeError as error:
-                # Only the topic: the words of the error would let a sender fill our memory.
+                # Count by topic, not by error text: with texts a sender could fill our memory.
                 self._report.bad_input(f"undecodable {self._topic.name}")
                 self.refused[key] = str(error)
                 continue

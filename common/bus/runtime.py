@@ -7,8 +7,7 @@
         for stamp_ns, frame in open_source(config, service.report):
             publish(pipeline.process(stamp_ns, frame))
 
-Ctrl-C and SIGTERM end it alike: both raise ``KeyboardInterrupt`` in the main thread, every ``with`` closes, the token
-goes away.
+Ctrl-C and SIGTERM both raise ``KeyboardInterrupt`` in the main thread: every ``with`` closes, and the token is removed.
 """
 
 from __future__ import annotations
@@ -44,11 +43,11 @@ log = logging.getLogger("runtime")
 M = TypeVar("M", bound=Message)
 
 STATUS_PERIOD_S = 1.0
-HANDOVER_BUDGET_S = 15.0
+HANDOVER_BUDGET_S = 15.0  # after a handover, until the old instance has to be gone
 
 
 class Service:
-    """One service's presence on the bus. Use it in a ``with`` statement, from the main thread."""
+    """A service on the bus. Use it in a ``with`` statement, from the main thread."""
 
     def __init__(self, name: str, config: ServiceConfig) -> None:
         self.name = name
@@ -82,7 +81,7 @@ class Service:
         return self
 
     def _announce(self) -> None:
-        """Status, info and clock, where we speak now; what was declared in the shadow stays until the end."""
+        """Declares status, info and clock under the current keys; the shadow declarations stay until exit."""
         self._publish_status = self.session.declare_publisher(
             self._key("status"),
             encoding=encoding_of(ServiceStatus),
@@ -95,15 +94,15 @@ class Service:
         self._tokens.append(self.session.liveliness().declare_token(self._key(f"alive/{self.instance}")))
 
     def _claim(self) -> None:
-        """Watch for others that claim to be this service; a shadow claims nothing."""
+        """Watch for other instances of this service; not done in the shadow."""
         self._rivals = Presence(self.session, self._check_rivals, topics.token_key(self.host, self.name, "*"))
 
     def _go_live(self) -> None:
         """From the shadow to the live keys: data first, then the token, so that no reader waits for data."""
         moved = [(publisher, publisher.move(self._key(product))) for product, publisher in self._publishers.items()]
-        for publisher, spoken in moved:
+        for publisher, sent in moved:
             if publisher.decided_on:
-                spoken.wait()
+                sent.wait()
         self._announce()
         self._claim()
         self._live_since_s = monotonic_s()
@@ -148,8 +147,8 @@ class Service:
         while not self._stop.is_set():
             self.report.changed.clear()
             status = self.report.snapshot()
-            self._tell_systemd(watchdog, status)
-            self._mind_predecessor()
+            self._feed_watchdog(watchdog, status)
+            self._check_predecessor()
             status.seq, status.sent_ns = seq, utc_ns()
             try:
                 self._publish_status.put(encode_for_readers(status)[0])
@@ -158,15 +157,15 @@ class Service:
             seq += 1
             self.report.changed.wait(STATUS_PERIOD_S)
 
-    def _tell_systemd(self, watchdog: Watchdog, status: ServiceStatus) -> None:
-        """Ready with the first message; alive only while the main loop goes round, whatever our threads do."""
+    def _feed_watchdog(self, watchdog: Watchdog, status: ServiceStatus) -> None:
+        """Ready with the first message. Watchdog is fed only while the main loop makes progress."""
         if status.published or status.state == "online":
             watchdog.ready(f"{status.state} {status.reason}".strip())
         if self.report.silent_s() < max(watchdog.limit_s / 2, 2 * STATUS_PERIOD_S):
             watchdog.alive()
 
-    def _mind_predecessor(self) -> None:
-        """An announced handover excuses two claimants for a moment, not for ever."""
+    def _check_predecessor(self) -> None:
+        """Two instances are tolerated for HANDOVER_BUDGET_S after a handover, then reported."""
         if self._live_since_s is None or monotonic_s() - self._live_since_s < HANDOVER_BUDGET_S:
             return
         old = [i for _, _, i in self._rivals.instances() if i.partition(AFTER)[0] == self._handover.succeeds]

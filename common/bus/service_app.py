@@ -51,7 +51,7 @@ def service_app(name: str, config_type: type[C], run: Callable[[C], object], doc
             bool, typer.Option("--show-config", help="Print the effective configuration and stop.")
         ] = False,
     ) -> None:
-        """Run the service, unless a subcommand is named; its options are kept for the subcommands."""
+        """Run the service, or the subcommand that is named, with the same options."""
         context.obj = (config, overrides, source)
         if context.invoked_subcommand is not None:
             return
@@ -67,7 +67,7 @@ def service_app(name: str, config_type: type[C], run: Callable[[C], object], doc
 
 
 def load_config(config_type: type[C], path: Path | None, overrides: list[str] | None, source: str | None) -> C:
-    """Load or end the process with exit code 2 and one line that says what is wrong."""
+    """Load the configuration; on an error print one line and exit with code 2."""
     settings = list(overrides or [])
     if source is not None:
         settings.append(f'source="{source}"')
@@ -79,8 +79,8 @@ def load_config(config_type: type[C], path: Path | None, overrides: list[str] | 
 
 
 @contextmanager
-def told_in_a_line() -> Iterator[None]:
-    """For what a service's command does besides serving: a wrong configuration ends it with 2, a bad file with 1."""
+def errors_in_one_line() -> Iterator[None]:
+    """Prints ConfigError or OSError as one line and exits with code 2 or 1. For the subcommands of a service."""
     try:
         yield
     except ConfigError as error:
@@ -92,10 +92,10 @@ def told_in_a_line() -> Iterator[None]:
 
 
 def check_output(path: Path, *endings: str) -> None:
-    """Before the work is done, so that it is not done in vain.
+    """Check that the output file can be written before the work starts.
 
     Raises:
-        ConfigError: there is no such folder, or the name has none of these endings (none given: any will do).
+        ConfigError: there is no such folder, or the name has none of these endings (none given: any is allowed).
     """
     if not path.parent.is_dir():
         raise ConfigError(f"{path}: no folder {path.parent}")
@@ -106,7 +106,7 @@ def check_output(path: Path, *endings: str) -> None:
 def flag_as_command(arguments: list[str], command: str) -> list[str]:
     """``--plot FILE`` among the options becomes the subcommand ``plot FILE`` behind them (``command`` is "plot").
 
-    Options that every service has stay in front of the subcommand; whatever else is given belongs to it.
+    Options that every service has stay in front of the subcommand; all others are passed to it.
     """
     if f"--{command}" not in arguments:
         return arguments
@@ -122,18 +122,18 @@ def flag_as_command(arguments: list[str], command: str) -> list[str]:
 
 
 def run_app(app: typer.Typer, *flags: str) -> None:
-    """The console command: ``--FLAG FILE`` becomes the subcommand; what is wrong is said in a line."""
+    """The console command: ``--FLAG FILE`` becomes the subcommand; errors are printed in one line."""
     arguments = sys.argv[1:]
     for flag in flags:
         arguments = flag_as_command(arguments, flag)
-    with told_in_a_line():
+    with errors_in_one_line():
         app(args=arguments)
 
 
 def run_until_stopped(run: Callable[[], object]) -> NoReturn:
     """Run with SIGTERM equal to Ctrl-C, then end the process: exit code 0, 1 after a failure, 2 for a wrong config.
 
-    Whatever has to be closed is closed by ``with`` before that.
+    ``run`` closes its resources by ``with`` before that.
     """
     stopped: list[int] = []
 
@@ -173,9 +173,8 @@ def code_of(ending: SystemExit) -> int:
 def end_process(code: int) -> NoReturn:
     """End at once, by ``os._exit``.
 
-    A Zenoh thread that is stuck in the network would otherwise keep a finished process, and with it its liveliness
-    token, alive; and one that brings a message while Python clears up is ended by it in the middle of what is not
-    Python, which aborts the process ("exception not rethrown").
+    A Zenoh thread that is stuck in the network would otherwise keep the process and its liveliness token alive. A Zenoh
+    thread that delivers a message while Python shuts down would abort the process ("exception not rethrown").
     """
     for stream in (sys.stdout, sys.stderr):
         try:

@@ -1,8 +1,8 @@
-"""Connections whose other end is gone end with Zenoh's lease, by a kernel option that Zenoh has no setting for.
+"""Ends dead TCP connections when Zenoh's lease ends, by a kernel option that Zenoh has no setting for.
 
-Zenoh gives a silent link up after the lease, but its close waits up to 10 s for what was not acknowledged. When the
-neighbour comes back meanwhile, the late end of the old link takes the new one with it: about 1 s without a message,
-seconds after all was well again.
+Zenoh closes a silent link after the lease, but the close waits up to 10 s for unacknowledged data. If the neighbour
+reconnects meanwhile, the late end of the old link also ends the new one: about 1 s without a message, seconds after the
+link had recovered.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import socket
 
 
 def set_tcp_user_timeout(seconds: float) -> None:
-    """Let the kernel drop every TCP connection of this process that has had no acknowledgement for so long."""
+    """Let the kernel drop every TCP connection of this process that had no acknowledgement for ``seconds``."""
     value = ctypes.c_uint(round(seconds * 1e3))
     for name in os.listdir("/proc/self/fd"):
-        # On whatever is no TCP socket this fails, and nothing has happened.
+        # setsockopt fails harmlessly on other descriptors.
         ctypes.CDLL(None).setsockopt(
             int(name), socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, ctypes.byref(value), ctypes.sizeof(value)
         )

@@ -1,4 +1,4 @@
-"""Heartbeat for systemd or our own supervisor as datagrams of sd_notify(3), in a container as a file that is touched.
+"""Heartbeat for systemd or our own supervisor by datagrams of sd_notify(3); in a container, by touching a file.
 
 Does nothing unless NOTIFY_SOCKET or SPOTTER_ALIVE (a folder) is set.
 """
@@ -12,7 +12,7 @@ from pathlib import Path
 
 
 class Watchdog:
-    """``ready`` once, then ``alive`` only while the work makes progress: silence means restart me."""
+    """Call ``ready`` once, then ``alive`` while the work makes progress. Without it the supervisor restarts us."""
 
     def __init__(self, name: str) -> None:
         self._address = os.environ.get("NOTIFY_SOCKET", "")
@@ -24,7 +24,7 @@ class Watchdog:
 
     @property
     def limit_s(self) -> float:
-        """How long systemd lets us be silent (WATCHDOG_USEC); 0 = it does not watch."""
+        """The watchdog time-out of systemd (WATCHDOG_USEC); 0 = off."""
         return int(os.environ.get("WATCHDOG_USEC", "0")) * 1e-6
 
     def ready(self, status: str = "") -> None:
@@ -36,8 +36,8 @@ class Watchdog:
         """The work made progress."""
         self._send("WATCHDOG=1")
         if self._file is not None:
-            with suppress(OSError):  # a full disk: then the file grows old, and whoever watches it restarts us
-                self._file.parent.mkdir(parents=True, exist_ok=True)  # somebody may have tidied up
+            with suppress(OSError):  # disk full: the file is not updated, and the supervisor restarts us
+                self._file.parent.mkdir(parents=True, exist_ok=True)  # the folder may have been deleted
                 self._file.touch()
 
     def _send(self, text: str) -> None:
@@ -45,5 +45,5 @@ class Watchdog:
             return
         address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
         with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
-            sender.setblocking(False)  # a supervisor that is stopped itself must not stop us
-            sender.sendto(text.encode(), address)  # nobody listens any more, or no descriptor is left: the next time
+            sender.setblocking(False)  # a stopped supervisor must not block us
+            sender.sendto(text.encode(), address)  # no receiver, or no descriptor left: retried next time

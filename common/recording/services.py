@@ -1,4 +1,4 @@
-"""Who speaks on the bus, with which version and configuration: metadata of recordings and capsules."""
+"""The running services with version and configuration: metadata of recordings and capsules."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from common.messages import ServiceInfo
 ANSWER_LIMIT_S = 1.0
 
 
-def who_speaks(session: zenoh.Session, host: str = "*") -> dict[str, dict[str, str]]:
+def running_services(session: zenoh.Session, host: str = "*") -> dict[str, dict[str, str]]:
     """By ``<host>/<service>``: version, config_hash, instance, source, source_kind, vehicle and, as JSON, config."""
     metadata, vehicles = {}, vehicles_on_bus(session)
     for reply in session.get(f"{host}/*/info", timeout=ANSWER_LIMIT_S):

@@ -12,7 +12,7 @@ from common.bus.runtime import Service
 from common.bus.service_app import service_app
 from common.clock import monotonic_s
 from common.config import config_hash
-from common.recording.services import who_speaks
+from common.recording.services import running_services
 from services.blackbox.capsule import HostClock, keep_newest, write_capsule
 from services.blackbox.clock import FusionClock
 from services.blackbox.config import BlackboxConfig
@@ -39,7 +39,7 @@ def run(config: BlackboxConfig) -> bool:
                 server.answer(request, pipeline.save(now_s, request.incident))
             saved = pipeline.process(now_s, kept)
             if saved is not None:
-                spoke = about | who_speaks(service.session, config.host)
+                spoke = about | running_services(service.session, config.host)
                 keep(service, config, saved, spoke, clock.now(), written)
     return service.closed_cleanly
 

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from common.bus.service_app import check_output, load_config, setup_logging, told_in_a_line
+from common.bus.service_app import check_output, errors_in_one_line, load_config, setup_logging
 from common.bus.status import Report
 from common.config import ConfigError
 from services.radar_pi.config import RadarConfig
@@ -35,7 +35,7 @@ def add_tools(app: typer.Typer) -> None:
     ) -> None:
         """Draw the last of some frames, with the tracks' past, to a PNG. `--plot FILE` is the same."""
         setup_logging("radar")
-        with told_in_a_line():
+        with errors_in_one_line():
             count = plot_frames(load_config(RadarConfig, *context.obj), picture, frames)
             typer.echo(f"{picture}: the last of {count} frames")
 
@@ -47,7 +47,7 @@ def add_tools(app: typer.Typer) -> None:
     ) -> None:
         """Write the raw frames of the source to a .radar file. `--record FILE` is the same."""
         setup_logging("radar")
-        with told_in_a_line():
+        with errors_in_one_line():
             typer.echo(
                 f"{recording}: {record_frames(load_config(RadarConfig, *context.obj), recording, frames)} frames"
             )

@@ -157,10 +157,10 @@ def _raw(services: list[str]) -> list[topics.Topic]:
 
 def _metadata(session: Any, namespace: str) -> dict[str, dict[str, str]]:
     """Which services, versions and configurations the recording is of."""
-    from common.recording.services import who_speaks
+    from common.recording.services import running_services
 
     about = {"version": importlib.metadata.version("spotter"), "namespace": namespace}
-    return {"spotter": about, **who_speaks(session)}
+    return {"spotter": about, **running_services(session)}
 
 
 def _foxglove_is_here() -> bool:

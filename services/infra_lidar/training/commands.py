@@ -96,10 +96,10 @@ def plot(
 ) -> None:
     """Top view of the source: ground, clusters by class, tracks and their ways. `--plot OUTPUT` is the same."""
     setup_logging("infra_lidar")
-    from common.bus.service_app import load_config, told_in_a_line
+    from common.bus.service_app import errors_in_one_line, load_config
     from services.infra_lidar.plot import plot_source
 
-    with told_in_a_line():
+    with errors_in_one_line():
         config = load_config(InfraLidarConfig, *context.obj)
         count = plot_source(config, output, frames, reach)
         if count == 0:

@@ -10,7 +10,7 @@ from common.bus.ego import EgoWatch
 from common.bus.look import add_look
 from common.bus.raw_tap import RawTap
 from common.bus.runtime import Service
-from common.bus.service_app import load_config, run_app, service_app, told_in_a_line
+from common.bus.service_app import errors_in_one_line, load_config, run_app, service_app
 from common.bus.status import Report
 from common.clock import monotonic_s
 from common.messages import EgoMotion
@@ -57,7 +57,7 @@ def plot(
     """Draw scan, lanes, zones and rejected points into a PNG file. `--plot FILE` is the same."""
     from services.jetson.lidar.plot import plot_scans
 
-    with told_in_a_line():
+    with errors_in_one_line():
         count = plot_scans(load_config(LidarConfig, *context.obj), picture, scans)
         typer.echo(f"{picture}: the last of {count} turns")
 

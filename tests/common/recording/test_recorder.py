@@ -45,7 +45,7 @@ def test_a_live_recording_holds_everything_and_says_so(
         publish = lidar.publisher(topics.LIDAR_ZONES)
         options = RecorderOptions(tmp_path, keep_free_bytes=0)
         recorder = Recorder(laptop, [topics.LIDAR_ZONES], options, {})
-        until(lambda: publish.heard)
+        until(lambda: publish.has_subscribers)
 
         run_recorder(recorder, lambda: [publish(zones(i)) for i in range(200)] and None, 200)
     assert (recorder.status.messages, recorder.status.dropped) == (200, 0)
@@ -89,7 +89,7 @@ def test_files_rotate_by_size_and_none_is_lost_at_the_seam(
         publish = lidar.publisher(topics.LIDAR_ZONES)
         options = RecorderOptions(tmp_path, keep_free_bytes=0, rotate_bytes=1)
         recorder = Recorder(laptop, [topics.LIDAR_ZONES], options, {})
-        until(lambda: publish.heard)
+        until(lambda: publish.has_subscribers)
         enough = threading.Event()
 
         def feed() -> None:
@@ -167,7 +167,7 @@ def test_a_disk_that_takes_no_more_is_one_line_and_the_file_holds_until_then(
     ):
         publish = lidar.publisher(topics.LIDAR_ZONES)
         recorder = Recorder(laptop, [topics.LIDAR_ZONES], RecorderOptions(tmp_path, 0, foxglove=False), {})
-        until(lambda: publish.heard)
+        until(lambda: publish.has_subscribers)
         told: list[str] = []
 
         def run() -> None:

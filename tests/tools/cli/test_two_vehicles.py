@@ -18,7 +18,7 @@ from common.bus.vehicles import vehicles_in, vehicles_on_bus
 from common.codec import encode
 from common.config import ServiceConfig, ZenohConfig
 from common.messages import SensorHealth, ServiceInfo, SystemHealth
-from common.recording.services import who_speaks
+from common.recording.services import running_services
 from services.jetson.fusion.config import FusionConfig, SensorConfig, SensorsConfig, VehicleConfig
 from spotter_tools.cli.__main__ import app
 from spotter_tools.cli.connect import bus
@@ -90,7 +90,7 @@ def test_every_command_tells_two_vehicles_apart(two_vehicles: str, until: Callab
         until(lambda: len(observer.overview().services) == 5)
         overview, vehicles = observer.overview(), observer.vehicles()
         observer.close()
-        recorded = who_speaks(session)
+        recorded = running_services(session)
     # top
     text = as_text(overview)
     assert "car0: SAFE" in text[1]
