@@ -27,7 +27,7 @@ FAULTS = (
 
 @dataclass(frozen=True)
 class Weather:
-    """What the air and the light do to lidar and camera; the radar does not mind."""
+    """Weather effects on lidar and camera; no effect on radar."""
 
     light: float = 1.0  # exposure of the picture, 1 = day
     rain: float = 0.0  # 0 dry to 1 heavy: returns lost, drops seen, ranges less exact

@@ -1,7 +1,7 @@
-"""One simulated world, a pure function of (scenario, time): what every simulated sensor looks at.
+"""One simulated world for all simulated sensors, a pure function of (scenario, time).
 
-The map's origin is where the vehicle of ``crossing`` stands. A scenario repeats itself after its length, so every
-process that takes the time from the same clock sees the same world without a word between them.
+The map's origin is where the vehicle of ``crossing`` stands. A scenario repeats itself after its length. Processes with
+the same clock compute the same world; no communication is needed.
 """
 
 from __future__ import annotations

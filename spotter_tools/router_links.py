@@ -1,6 +1,6 @@
-"""A router's eye on the other hosts of its site: which cannot be linked for a clock or a certificate.
+"""Finds out which hosts cannot be linked because of clock or certificate.
 
-The log says it once, and the services and commands of this host may ask: ``<host>/router/links``.
+Each fault is logged once; services and commands of this host can query ``<host>/router/links``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PERIOD_S = 3.0
 
 
 class LinkWatch:
-    """Looks every few seconds, in a thread of its own, at the hosts of which nobody is heard; ends with the session."""
+    """Checks every few seconds, in a thread, the hosts without any visible service; ends with the session."""
 
     def __init__(self, session: zenoh.Session, site: Site, host: str, config: ZenohConfig) -> None:
         self._session, self._site, self._host = session, site, host

@@ -1,4 +1,4 @@
-"""`spotter gate status | acknowledge | try`: what the gate says, a person's word to it, and the wiring on trial."""
+"""`spotter gate status | acknowledge | try`: gate state, operator acknowledgement, wiring test."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def prove(
         print("\n".join(case.name for case in cases))
         return
     started_s = time.monotonic()
-    results = ground.prove(cases, jobs or os.cpu_count() or 1, out, _tell(len(cases)))
+    results = ground.prove(cases, jobs or os.cpu_count() or 1, out, _progress(len(cases)))
     sys.stderr.write(f"\r{len(cases)} cases in {time.monotonic() - started_s:.0f} s{' ' * 60}\n")
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
@@ -58,15 +58,15 @@ def prove(
     raise SystemExit(1 if missed else 0)
 
 
-def _tell(count: int) -> Callable[[Result], None]:
-    """A line on the terminal that counts."""
+def _progress(count: int) -> Callable[[Result], None]:
+    """Returns a function that shows the number of finished cases on the terminal."""
     done = 0
 
-    def told(result: Result) -> None:
+    def show(result: Result) -> None:
         nonlocal done
         done += 1
         if sys.stderr.isatty():
             sys.stderr.write(f"\r{done}/{count} {result.name:60.60}")
             sys.stderr.flush()
 
-    return told
+    return show

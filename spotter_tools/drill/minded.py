@@ -1,4 +1,4 @@
-"""A service under a supervisor of its own, as `spotter up` runs it: for faults that nobody else is to mend."""
+"""A supervised service, as `spotter up` runs it, for faults that only the supervisor may repair."""
 
 from __future__ import annotations
 

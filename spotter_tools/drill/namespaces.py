@@ -1,4 +1,4 @@
-"""Hosts as network namespaces of this machine, on one bridge: for trying a whole site with its real links.
+"""Hosts as network namespaces of this machine, on one bridge, to test a whole site with real links.
 
 Needs root. Everything made here is removed by ``close``; nothing is made in the machine's own namespace.
 """
@@ -35,7 +35,7 @@ def missing() -> str:
 
 
 class Lab:
-    """``Lab(("pi0", "jetson0"), folder)``: one namespace per host; ``address(host)`` is where the others find it."""
+    """``Lab(("pi0", "jetson0"), folder)``: one namespace per host; ``address(host)`` is its IP address."""
 
     def __init__(self, hosts: tuple[str, ...], folder: Path) -> None:
         self.hosts, self.folder = hosts, folder
@@ -56,7 +56,7 @@ class Lab:
     ) -> None:
         self.stop(*self._processes)
         for host in (*self.hosts, "net"):
-            for pid in self.pids(host):  # whatever was left behind by those, however they ended
+            for pid in self.pids(host):  # processes that outlived the commands which started them
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
             subprocess.run(["ip", "netns", "del", self.space(host)], capture_output=True, check=False)
@@ -87,7 +87,7 @@ class Lab:
         return subprocess.run(words, capture_output=True, text=True, check=False, env={**os.environ, **environment})
 
     def stop(self, *names: str) -> None:
-        """Stop these together. Not as with Ctrl-C: who was started in the background of a script does not hear that."""
+        """Stop these together by SIGTERM. Not by SIGINT: a process started in the background of a script ignores it."""
         stopping = [self._processes.pop(name) for name in names]
         for process in stopping:
             process.send_signal(signal.SIGTERM)
@@ -100,7 +100,7 @@ class Lab:
                 process.wait()
 
     def pids(self, host: str, word: str = "") -> list[int]:
-        """Processes of a host, those that have ``word`` among the words of their command line."""
+        """Processes of a host; with ``word``, only those that have it as an argument on their command line."""
         words = ["ip", "netns", "pids", self.space(host)]
         listed = subprocess.run(words, capture_output=True, text=True, check=False)
         found = []
@@ -111,7 +111,7 @@ class Lab:
         return found
 
     def cut(self, host: str) -> None:
-        """Drop every packet silently, in both directions: what a pulled cable looks like to everybody else."""
+        """Drop every packet silently, in both directions: for the other hosts this is like a pulled cable."""
         for chain in _DROP:
             self._in(host, "iptables", "-I", chain, *_side(chain), "-j", "DROP")
 

@@ -154,7 +154,7 @@ class Rig:
                 self._start(fault.service, source=f"sim:faults?t0={fault.at_s - SIM_WARM_UP_S}")
                 return self._first_message(fault.service) + SIM_WARM_UP_S
             case _:
-                self._stand_ins[fault.service].spoiler.set(fault)
+                self._stand_ins[fault.service].injector.set(fault)
         return monotonic_s()
 
     def heal(self, fault: Fault) -> None:
@@ -178,7 +178,7 @@ class Rig:
                 self._stop(fault.service)
                 self._start(fault.service)
             case _:
-                self._stand_ins[fault.service].spoiler.set(None)
+                self._stand_ins[fault.service].injector.set(None)
 
     def _start_router(self) -> None:
         self._run(ROUTER, router_child(Plan(listen=(self.endpoint,))), dict(os.environ))
@@ -242,12 +242,12 @@ class Rig:
 
 
 class Running:
-    """A system that is running already: only processes on this machine can be disturbed, and only by signals."""
+    """A system that is already running: faults are possible only by signals to processes on this machine."""
 
-    actuator: EmulatedActuator | None = None  # behind somebody else's wires
+    actuator: EmulatedActuator | None = None  # not observable on a running system
 
     def __init__(self, session: zenoh.Session, hosts: Collection[str] = ()) -> None:
-        """``hosts`` are those of the one vehicle that is drilled; without them there is only one."""
+        """``hosts``: those of the vehicle under test; may be empty if there is only one vehicle."""
         self._session, self._hosts = session, hosts
         self._frozen: dict[str, int] = {}
 
@@ -256,7 +256,7 @@ class Running:
         return fault.kind in ("kill", "freeze") and self._pid(fault.service) is not None
 
     def prepare(self, fault: Fault) -> None:
-        """Nothing: a running system is taken as it is."""
+        """Nothing to do: a running system is not changed."""
         return
 
     def inject(self, fault: Fault) -> float:

@@ -1,6 +1,7 @@
-"""A stand-in: takes the place of a service that publishes into another namespace, and spoils its messages on the way.
+"""A proxy that republishes a service's messages with injected faults.
 
-So live services need no fault commands, and everything else (codec, network, fusion) is the real thing.
+The service publishes into another namespace, the proxy into the usual one. So services need no commands for faults, and
+all the rest (codec, network, fusion) is unchanged.
 """
 
 from __future__ import annotations
@@ -24,13 +25,13 @@ from common.config import ServiceConfig, ZenohConfig
 from common.topics import Topic
 from spotter_tools.drill.fault_plan import Fault
 
-UPSTREAM = "drill_upstream"  # the namespace into which the real service publishes meanwhile
+UPSTREAM = "drill_upstream"  # the namespace into which the real service publishes
 STRANGER = "stranger9"
 Outgoing = tuple[float, str, bytes]  # when to send (monotonic), host, payload
 
 
 class FaultInjector:
-    """Turns one payload into what is sent instead. No I/O; time is an argument."""
+    """Converts one payload to the payloads that are sent instead. No I/O; time is an argument."""
 
     def __init__(self, host: str, seed: int = 0) -> None:
         self.fault: Fault | None = None
@@ -45,7 +46,7 @@ class FaultInjector:
         self.fault, self._held, self._stuck = fault, None, None
 
     def feed(self, now_s: float, payload: bytes) -> list[Outgoing]:
-        """What goes out for one payload that came in."""
+        """The outgoing payloads for one incoming payload."""
         self._count += 1
         match self.fault.kind if self.fault else "":
             case "delay":
@@ -65,7 +66,7 @@ class FaultInjector:
         return [(now_s, self._host, self._wrong(payload))]
 
     def _reorder(self, now_s: float, payload: bytes) -> list[Outgoing]:
-        """Pairs change places."""
+        """Swap the two messages of each pair."""
         if self._held is None:
             self._held = payload
             return []
@@ -98,10 +99,10 @@ def _with_nan(message: dict[str, Any]) -> dict[str, Any]:
 
 
 class StandIn:
-    """Service ``name`` on ``host`` for everybody else: token, status and clock of its own, the real one's data."""
+    """Service ``name`` on ``host`` as seen by all others: own token, status and clock, the data of the real service."""
 
     def __init__(self, name: str, host: str, topic: Topic, endpoint: str, namespace: str) -> None:
-        self.spoiler = FaultInjector(host)
+        self.injector = FaultInjector(host)
         self._topic = topic
         self._queue: list[tuple[float, int, str, bytes]] = []
         self._order: Iterator[int] = itertools.count()
@@ -128,7 +129,7 @@ class StandIn:
     def _receive(self) -> None:
         try:
             for sample in self._subscriber:
-                outgoing = self.spoiler.feed(monotonic_s(), sample.payload.to_bytes())
+                outgoing = self.injector.feed(monotonic_s(), sample.payload.to_bytes())
                 with self._wake:
                     for due_s, host, payload in outgoing:
                         heapq.heappush(self._queue, (due_s, next(self._order), host, payload))

@@ -1,4 +1,4 @@
-"""The vehicle of the proving ground: it follows its plan, and the brakes hold it back along the same way."""
+"""The vehicle of the proving ground: it follows a planned motion and can be braked along the same path."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _STANDS_MPS = 1e-6
 
 @dataclass(frozen=True)
 class Order:
-    """What the actuator was told: the greatest speed, and how hard to brake down to it."""
+    """The command to the actuator: the speed limit, and the deceleration down to it."""
 
     limit_mps: float
     brake_mps2: float
@@ -25,10 +25,10 @@ FREE = Order(math.inf, 0.0)
 
 
 class Braked:
-    """A ``Motion`` whose past is fixed and whose future is not.
+    """A motion that follows a plan and can be braked; past poses do not change.
 
-    It runs through ``plan`` at a pace of 0 to 1: at pace 1 it does what the plan does, at 0 it stands. So it brakes
-    along the planned way, whatever way that is.
+    It runs through ``plan`` at a pace of 0 to 1: at pace 1 it moves as planned, at 0 it stands. So it always brakes
+    along the planned path.
     """
 
     def __init__(self, plan: Motion, preset: Preset) -> None:
@@ -38,21 +38,21 @@ class Braked:
 
     @property
     def now_s(self) -> float:
-        """Until when the past is known."""
+        """The time up to which the poses are calculated."""
         return self._times[-1]
 
     @property
     def speed_mps(self) -> float:
-        """Now, without sign."""
+        """Present speed, without sign."""
         return self._speeds[-1]
 
     @property
     def planned_mps(self) -> float:
-        """What the plan would do here."""
+        """The speed of the plan at this place."""
         return _speed(self._plan.at(self._phases[-1]))
 
     def advance(self, to_s: float, order: Order) -> None:
-        """Drive on until ``to_s`` under one order."""
+        """Drive until ``to_s`` under one order."""
         while self.now_s < to_s - 1e-9:
             step_s = min(_STEP_S, to_s - self.now_s)
             planned = self.planned_mps

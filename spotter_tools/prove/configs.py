@@ -48,7 +48,7 @@ def configs_of(name: str) -> Configs:
 
 
 def path_of(preset: Preset) -> PathConfig:
-    """The outline by the tape, the brakes as they are."""
+    """True outline and brakes of the preset."""
     length_m, width_m, _ = preset.chassis.size_m
     return PathConfig(
         width_m=width_m,

@@ -1,4 +1,4 @@
-"""All cases over all cores: each driven by Spotter and by the article's rules, beside what physics allows."""
+"""Runs all cases on all cores: each with Spotter and with the article's rules, compared with the physical limit."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pathlib import Path
 from spotter_tools.prove.case import Case, Outcome
 from spotter_tools.prove.yardstick import Yardstick
 
-_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # a case each, not a core each
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # one process per core already
 
 
 @dataclass(frozen=True)
 class Result:
-    """One case, and what came of it under each decider."""
+    """One case, and its outcome with each decider."""
 
     name: str
     family: str
@@ -33,14 +33,14 @@ class Result:
 
     @property
     def failed(self) -> bool:
-        """Spotter hit what could be avoided, or braked or said IMMINENT for nothing."""
+        """Spotter had an avoidable collision, or braked or said IMMINENT without need."""
         if self.dangerous:
             return self.yardstick.avoidable and self.spotter.collided
         return self.spotter.collided or self.spotter.false_brakes > 0 or self.spotter.imminent_s > 0.0
 
 
 def prove_case(case: Case, pictures: Path | None = None) -> Result:
-    """Drive one case both ways; a failed one is drawn into the folder ``pictures``."""
+    """Run one case with both deciders; a failed one is drawn into the folder ``pictures``."""
     from spotter_tools.prove.judge import judge
     from spotter_tools.prove.loop import drive
     from spotter_tools.prove.yardstick import measure
@@ -59,15 +59,15 @@ def prove_case(case: Case, pictures: Path | None = None) -> Result:
 
 
 def prove(
-    cases: Iterable[Case], jobs: int, pictures: Path | None = None, told: Callable[[Result], None] = lambda _: None
+    cases: Iterable[Case], jobs: int, pictures: Path | None = None, on_result: Callable[[Result], None] = lambda _: None
 ) -> list[Result]:
-    """Results in the order of the cases; ``told`` hears each as it comes."""
+    """Results in the order of the cases; ``on_result`` is called for each result."""
     cases = list(cases)
     if jobs <= 1:
         results = []
         for case in cases:
             results.append(prove_case(case, pictures))
-            told(results[-1])
+            on_result(results[-1])
         return results
     found: dict[int, Result] = {}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
@@ -76,12 +76,12 @@ def prove(
         waiting = {pool.submit(prove_case, case, pictures): i for i, case in enumerate(cases)}
         for done in as_completed(waiting):
             found[waiting[done]] = done.result()
-            told(done.result())
+            on_result(done.result())
     return [found[i] for i in range(len(cases))]
 
 
 def _end_with_parent() -> None:
-    """In a worker: end when the parent was killed. The queue says nothing of it, its other end is open in here too."""
+    """In a worker: end when the parent was killed. The queue does not show it, because the worker holds both ends."""
     parent = multiprocessing.parent_process()
     if parent is not None:
 

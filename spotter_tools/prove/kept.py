@@ -1,7 +1,7 @@
-"""Cases that pass and have to go on passing: what CI drives, about a minute on two cores.
+"""Regression cases: they pass and must go on passing. CI runs them, about a minute on two cores.
 
-``spotter prove --kept`` ends with 1 when one of them fails. A case that a change makes pass is added here; one that a
-change makes fail is a change to be thought over, not a line to be taken out.
+``spotter prove --kept`` exits with 1 when one of them fails. If a change makes a case pass, add the case. If a case
+starts to fail, fix the change; do not delete the case.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ from spotter_tools.drill.run import Result, report_lines
 from spotter_tools.drill.standin import STRANGER, FaultInjector
 
 
-def spoiler(kind: str, seconds: float = 0.0) -> FaultInjector:
+def injector(kind: str, seconds: float = 0.0) -> FaultInjector:
     one = FaultInjector("pi0")
     one.set(Fault(kind=kind, service="radar", seconds=seconds))  # type: ignore[arg-type]
     return one
@@ -50,14 +50,14 @@ def test_without_a_fault_the_stand_in_passes_everything_on() -> None:
 
 
 def test_delay_duplicate_reorder_stuck_and_foreign_host() -> None:
-    assert spoiler("delay", 2.0).feed(5.0, b"a") == [(7.0, "pi0", b"a")]
-    assert [out[2] for out in spoiler("duplicate").feed(5.0, b"a")] == [b"a"] * 3
-    pairs = spoiler("reorder")
+    assert injector("delay", 2.0).feed(5.0, b"a") == [(7.0, "pi0", b"a")]
+    assert [out[2] for out in injector("duplicate").feed(5.0, b"a")] == [b"a"] * 3
+    pairs = injector("reorder")
     assert pairs.feed(5.0, b"a") == []
     assert [out[2] for out in pairs.feed(5.1, b"b")] == [b"b", b"a"]
-    stuck = spoiler("stuck")
+    stuck = injector("stuck")
     assert [stuck.feed(now_s, p)[0][2] for now_s, p in ((5.0, b"a"), (5.1, b"b"))] == [b"a", b"a"]
-    assert spoiler("foreign_host").feed(5.0, b"a") == [(5.0, STRANGER, b"a")]
+    assert injector("foreign_host").feed(5.0, b"a") == [(5.0, STRANGER, b"a")]
 
 
 @pytest.mark.parametrize("name", ["drive.toml", "emergency.toml"])
@@ -76,7 +76,7 @@ def test_a_plan_with_an_unknown_service_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["garbage", "wrong_types", "nan", "million"])
 def test_wrong_data_is_refused_by_the_codec(kind: str) -> None:
-    one = spoiler(kind)
+    one = injector(kind)
     for seq in range(5):
         ((_, _, spoiled),) = one.feed(5.0, payload(seq))
         with pytest.raises(DecodeError):
@@ -84,16 +84,16 @@ def test_wrong_data_is_refused_by_the_codec(kind: str) -> None:
 
 
 def test_stamps_and_sequence_numbers_are_moved() -> None:
-    ((_, _, future),) = spoiler("future", 30.0).feed(5.0, payload())
+    ((_, _, future),) = injector("future", 30.0).feed(5.0, payload())
     assert decode(future, RadarTracks).stamp_ns == 10**18 + 30 * 10**9
-    ((_, _, past),) = spoiler("past", -30.0).feed(5.0, payload())
+    ((_, _, past),) = injector("past", -30.0).feed(5.0, payload())
     assert decode(past, RadarTracks).stamp_ns == 10**18 - 30 * 10**9
-    ((_, _, jump),) = spoiler("jump").feed(5.0, payload())
+    ((_, _, jump),) = injector("jump").feed(5.0, payload())
     assert decode(jump, RadarTracks).seq > 1000
 
 
 def test_nan_reaches_nested_floats_only_where_they_are() -> None:
-    ((_, _, spoiled),) = spoiler("nan").feed(5.0, payload())
+    ((_, _, spoiled),) = injector("nan").feed(5.0, payload())
     assert math.isnan(msgpack.unpackb(spoiled)["noise_floor_db"])
 
 
