@@ -23,6 +23,7 @@ from common.bus.session import open_session
 from common.bus.status import Report
 from common.clock import utc_ns
 from common.config import ZenohConfig
+from common.pacing import ticks
 from common.ros2.keys import SENSOR_DATA
 from common.ros2.node import Node
 from common.ros2.types import build, from_cdr, header, to_cdr
@@ -63,12 +64,9 @@ def drive(endpoint: str) -> None:
     """The driver's process."""
     with open_session(ZenohConfig(namespace="", connect=(endpoint,))) as session:
         publish, message = Node(session, "driver").publisher("/points", CLOUD, SENSOR_DATA), cloud(utc_ns())
-        due_s = time.monotonic()
-        while True:
+        for _ in ticks(1.0 / RATE_HZ):
             message.header = header(utc_ns(), "pole")
             publish(message)
-            due_s = max(due_s + 1.0 / RATE_HZ, time.monotonic())
-            time.sleep(max(0.0, due_s - time.monotonic()))
 
 
 def best_ms(call: Callable[[], object], repeats: int = 20) -> float:

@@ -7,8 +7,7 @@ Where the clock was set while it was recorded, the pieces are played as if it ha
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -18,6 +17,7 @@ from common.clock import monotonic_s, utc_ns
 from common.codec import DecodeError, decode
 from common.config import ConfigError
 from common.messages import Motion, RawBytes
+from common.pacing import Wait, wait_until
 from common.recording.elapsed import Elapsed
 from common.source_url import SourceUrl
 from common.topics import Topic
@@ -27,7 +27,7 @@ PERIOD_NS = 100_000_000  # between the last piece and the first one of the next 
 FARTHEST_S = 3600.0  # a sensor may have been away for so long
 
 
-def replayed(url: SourceUrl, topic: Topic, wait: Callable[[float], object] = time.sleep) -> Iterator[RawBytes]:
+def replayed(url: SourceUrl, topic: Topic, wait: Wait | None = None) -> Iterator[RawBytes]:
     """The pieces of ``topic``, each when it is due.
 
     Raises:
@@ -41,7 +41,7 @@ def replayed(url: SourceUrl, topic: Topic, wait: Callable[[float], object] = tim
             into_ns = turn_ns + elapsed.at(piece.stamp_ns)
             if rate > 0:
                 due_ns = into_ns if rate == 1.0 else round(into_ns / rate)
-                wait(max(0.0, start_s + due_ns * 1e-9 - monotonic_s()))
+                wait_until(start_s + due_ns * 1e-9, wait)
                 _move(piece, start_ns + due_ns)
             yield piece
         if not url.flag("loop"):

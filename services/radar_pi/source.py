@@ -6,7 +6,6 @@ samples, an epoch that rises when the chip was restarted, and what is wrong with
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import numpy as np
 from common.bus.status import Report
 from common.clock import monotonic_s, utc_at, utc_ns
 from common.config import ConfigError
+from common.pacing import ticks, wait_until
 from common.recording.raw import MCAP_PARAMETERS, fitted_as_recorded, recorded_motion, replayed
 from common.source_url import SourceUrl, parse_source
 from common.topics import RADAR_RAW
@@ -87,7 +87,7 @@ def _replay(recording: Recording, rate: float, *, loop: bool) -> Frames:
         for at_ns, (_, frame) in zip(into_ns, recording, strict=True):
             due_s = start_s + (int(at_ns) + turn * length_ns) * 1e-9 / (rate or 1.0)
             if rate > 0:
-                time.sleep(max(0.0, due_s - monotonic_s()))
+                wait_until(due_s)
             yield RadarFrame(utc_at(due_s), utc_ns(), frame, epoch=turn, note="")
         if not loop:
             return
@@ -115,10 +115,7 @@ def _recorded_on_the_bus(url: SourceUrl) -> Frames:
 def _simulate(clock: ScenarioClock, waveform: WaveformConfig, report: Report) -> Frames:
     """The simulated world through the radar's eyes, at the waveform's frame rate; frames that came late are skipped."""
     sampled = simulator_waveform(waveform)
-    start_s, number = monotonic_s(), 0
-    while True:
-        due_s = start_s + number * waveform.frame_period_s
-        time.sleep(max(0.0, due_s - monotonic_s()))
+    for due_s in ticks(waveform.frame_period_s, skipped=report.dropped):
         try:
             frame = bgt60.frame(clock.scenario, clock.at(due_s), sampled)
             yield RadarFrame(utc_at(due_s), utc_ns(), frame, epoch=0, note="")
@@ -126,6 +123,3 @@ def _simulate(clock: ScenarioClock, waveform: WaveformConfig, report: Report) ->
             report.state("disconnected", f"{error}: check the plug; trying again")
         except TimeoutError as error:
             report.state("disconnected", f"{error}: restarting the chip")
-        behind = int((monotonic_s() - start_s) / waveform.frame_period_s) - number
-        report.dropped(max(0, behind - 1))
-        number += max(1, behind)

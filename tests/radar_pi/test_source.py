@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from common import clock as clocks
+from common import pacing
 from common.bus.status import Report
 from common.config import ConfigError, load
 from services.radar_pi import source
@@ -42,10 +43,11 @@ class ManualTime:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> ManualTime:
     manual = ManualTime()
-    for module in (clocks, scenario_clock, source):
+    for module in (clocks, pacing, scenario_clock, source):
         monkeypatch.setattr(module, "monotonic_s", manual.monotonic_s)
+    for module in (clocks, scenario_clock, source):
         monkeypatch.setattr(module, "utc_ns", manual.utc_ns)
-    monkeypatch.setattr(source, "time", SimpleNamespace(sleep=manual.sleep))  # other threads sleep on
+    monkeypatch.setattr(pacing, "time", SimpleNamespace(sleep=manual.sleep))  # other threads sleep on
     return manual
 
 

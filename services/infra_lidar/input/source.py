@@ -18,7 +18,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +28,7 @@ import numpy as np
 from common.bus.status import Report
 from common.clock import monotonic_s, utc_at, utc_ns
 from common.config import ConfigError
+from common.pacing import Playback, ticks
 from common.recording.raw import MCAP_PARAMETERS, fitted_as_recorded
 from common.ros2.source import ROS2_PARAMETERS, require_rosbags
 from common.source_url import SourceUrl, parse_source
@@ -114,14 +114,11 @@ def _simulated(url: SourceUrl) -> Iterator[tuple[int, Frame]]:
 def _revolutions(clock: ScenarioClock, columns: int, period_s: float) -> Iterator[tuple[int, Frame]]:
     from spotter_sim import lidar128
 
-    due_s = monotonic_s() + period_s - utc_ns() * 1e-9 % period_s  # all poles turn together
-    while True:
-        time.sleep(max(0.0, due_s - monotonic_s()))
+    first_s = monotonic_s() + period_s - utc_ns() * 1e-9 % period_s  # all poles turn together
+    for due_s in ticks(period_s, first_s):
         scan = lidar128.scan(clock.scenario, clock.at(due_s), columns)
         points = np.column_stack([scan.xyz, scan.intensity, scan.ring]).astype(np.float32)
         yield utc_at(due_s), Frame(points, utc_ns())
-        missed = int((monotonic_s() - due_s) / period_s)
-        due_s += max(1, missed) * period_s
 
 
 def _file(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
@@ -143,12 +140,13 @@ def _file(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
 
 def _play(url: SourceUrl, recording: Callable[[], Iterator[Recorded]]) -> Iterator[tuple[int, Frame]]:
     """A recording at its own pace times ``rate`` (0: as fast as frames are taken), repeated with loop=1."""
-    rate, clock = url.number("rate", 1.0), _Playback()
+    rate, playback, stamp_ns = url.number("rate", 1.0), Playback(), utc_ns()
     while True:
         previous_s: float | None = None
         anything = False
         for stamp_s, frame in recording():
-            stamp_ns = clock.next(_gap_s(previous_s, stamp_s), rate)
+            gap_s = _gap_s(previous_s, stamp_s)
+            stamp_ns = utc_at(playback.next_s(gap_s / rate)) if rate > 0.0 else stamp_ns + round(gap_s * 1e9)
             previous_s, anything = stamp_s, True
             yield stamp_ns, replace(frame, received_ns=utc_ns() if rate else stamp_ns)
         if not anything:
@@ -184,25 +182,3 @@ def _gap_s(previous_s: float | None, stamp_s: float | None) -> float:
     if previous_s is None or stamp_s is None or not 0.0 < stamp_s - previous_s <= LONGEST_GAP_S:
         return NOMINAL_PERIOD_S
     return stamp_s - previous_s
-
-
-class _Playback:
-    """Hands out stamps: now plus what was recorded. Late frames are not skipped; the schedule moves instead."""
-
-    def __init__(self) -> None:
-        self._stamp_ns = utc_ns()
-        self._due_s = monotonic_s()
-
-    def next(self, gap_s: float, rate: float) -> int:
-        """Wait until the frame is due and return its stamp, UTC nanoseconds."""
-        if rate <= 0.0:
-            self._stamp_ns += round(gap_s * 1e9)
-            return self._stamp_ns
-        self._due_s += gap_s / rate
-        late_s = monotonic_s() - self._due_s
-        if late_s > gap_s:
-            self._due_s += late_s
-        elif late_s < 0.0:
-            time.sleep(-late_s)
-        self._stamp_ns = utc_at(self._due_s)
-        return self._stamp_ns

@@ -23,6 +23,7 @@ import numpy as np
 from common.bus.status import Report
 from common.clock import monotonic_s, utc_at, utc_ns
 from common.config import ConfigError
+from common.pacing import steady
 from common.recording.raw import MCAP_PARAMETERS, first_piece, fitted_as_recorded, recorded_motion, replayed
 from common.ros2.source import ROS2_PARAMETERS, require_rosbags
 from common.source_url import SourceUrl, parse_source
@@ -118,8 +119,7 @@ def _recorded_on_the_bus(url: SourceUrl, stop: threading.Event) -> Iterator[Fram
 
 def _simulated(clock: ScenarioClock, config: CaptureConfig, report: Report, stop: threading.Event) -> Iterator[Frame]:
     """Pictures of the simulated world at the capture rate."""
-    pace = Pace(1.0 / config.rate_hz, stop)
-    while pace.wait():
+    for _ in steady(1.0 / config.rate_hz, stop):
         now_s = monotonic_s()
         stamp_ns, t_s = utc_at(now_s), clock.at(now_s)
         try:
@@ -161,11 +161,11 @@ def _replayed(
         ConfigError: a picture that cannot be read, or a video of which none can.
     """
     rate = url.number("rate", 1.0)
-    pace = Pace(period_s / rate if rate > 0 else 0.0, stop)
+    turns = steady(period_s / rate if rate > 0 else 0.0, stop)
     while True:
         came = False
         for image in _pictures(pictures) if pictures else _video(path):
-            if not pace.wait():
+            if next(turns, None) is None:
                 return
             stamp_ns, came = utc_ns(), True
             yield Frame(stamp_ns, stamp_ns, image)
@@ -194,20 +194,3 @@ def _video(path: Path) -> Iterator[np.ndarray]:
             yield image
     finally:
         video.release()
-
-
-class Pace:
-    """Gives a loop a steady period; time lost is not caught up."""
-
-    def __init__(self, period_s: float, stop: threading.Event) -> None:
-        self._period_s = period_s
-        self._stop = stop
-        self._next_s = monotonic_s()
-
-    def wait(self) -> bool:
-        """Wait for the next turn; False when it is time to stop."""
-        now_s = monotonic_s()
-        if self._stop.wait(max(self._next_s - now_s, 0.0)):
-            return False
-        self._next_s = max(self._next_s, now_s) + self._period_s
-        return True

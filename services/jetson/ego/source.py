@@ -5,13 +5,13 @@ from __future__ import annotations
 import logging
 import queue
 import threading
-import time
 from collections.abc import Generator, Iterator, Sequence
 
 from common.backoff import Backoff
 from common.bus.status import Report
 from common.clock import monotonic_s, utc_at
 from common.config import ConfigError
+from common.pacing import ticks
 from common.ros2.source import ROS2_PARAMETERS, require_rosbags
 from common.source_url import SourceUrl, parse_source
 from services.jetson.ego.config import EgoConfig
@@ -87,7 +87,8 @@ def measured(devices: Sequence[Device], config: EgoConfig, report: Report) -> Ge
     odometer = Odometer(config, [device.origin for device in devices])
     readers = [Reader(device) for device in devices]
     try:
-        for now_s in _ticks(1.0 / config.rate_hz):
+        for _ in ticks(1.0 / config.rate_hz):
+            now_s = monotonic_s()
             for reader in readers:
                 for one in reader.take():
                     faults = odometer.take(one) if isinstance(one, Measurement) else [f"{one.origin} {one.what}"]
@@ -152,16 +153,6 @@ def _simulated(url: SourceUrl, period_s: float) -> Iterator[tuple[int, Motion]]:
 
     clock = ScenarioClock(url)
     return (
-        (utc_at(now_s), Motion(*odometry.measure(world_at(clock.scenario, clock.at(now_s)))))
-        for now_s in _ticks(period_s)
+        (utc_at(due_s), Motion(*odometry.measure(world_at(clock.scenario, clock.at(due_s)))))
+        for due_s in ticks(period_s)
     )
-
-
-def _ticks(period_s: float) -> Iterator[float]:
-    """Monotonic seconds, one in each period; after a pause it goes on and does not catch up."""
-    due_s = monotonic_s()
-    while True:
-        now_s = monotonic_s()
-        yield now_s
-        due_s = max(due_s + period_s, monotonic_s() - period_s)
-        time.sleep(max(0.0, due_s - monotonic_s()))

@@ -19,6 +19,7 @@ from common.bus.status import Report
 from common.clock import monotonic_s, utc_at, utc_ns
 from common.config import ConfigError
 from common.messages import LaserScan, Motion
+from common.pacing import wait_until
 from common.recording.raw import MCAP_PARAMETERS, recorded_motion, replayed
 from common.ros2.source import ROS2_PARAMETERS, require_rosbags
 from common.serial_port import PORT_ERRORS, explain
@@ -121,7 +122,7 @@ def file_chunks(url: SourceUrl, sample_rate_hz: float, restart: Callable[[], Non
             sent += len(chunk)
             due_s = begin_s + sent * byte_s / (rate or 1.0)
             if rate:
-                time.sleep(max(0.0, due_s - monotonic_s()))
+                wait_until(due_s)
             yield utc_at(due_s), chunk
         if not url.flag("loop"):
             return

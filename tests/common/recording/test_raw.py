@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from common import topics
+from common import pacing, topics
 from common.bus.raw_tap import RawTap, changes, with_changes
 from common.bus.session import open_session
 from common.bus.status import Report
@@ -205,8 +205,8 @@ def write_pieces(path: Path, keys: tuple[str, ...] = ("jetson0/lidar/raw",), cou
 
 
 def test_at_rate_one_all_stamps_move_by_the_same_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now_s = [100.0]
-    monkeypatch.setattr(raw_source, "monotonic_s", lambda: now_s[0])
+    for module in (raw_source, pacing):
+        monkeypatch.setattr(module, "monotonic_s", lambda: 100.0)
     monkeypatch.setattr(raw_source, "utc_ns", lambda: T0 + 10**15)
     waits: list[float] = []
     url = write_pieces(tmp_path / "a.mcap")
@@ -224,7 +224,8 @@ def test_at_rate_one_all_stamps_move_by_the_same_time(tmp_path: Path, monkeypatc
 def test_a_recording_in_which_the_clock_was_set_is_played_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jump_ns: int
 ) -> None:
-    monkeypatch.setattr(raw_source, "monotonic_s", lambda: 100.0)
+    for module in (raw_source, pacing):
+        monkeypatch.setattr(module, "monotonic_s", lambda: 100.0)
     stamps_ns = [T0, T0 + 20_000_000, T0 + jump_ns + 40_000_000, T0 + jump_ns + 60_000_000]
     with RecordingFile(tmp_path / "a.mcap", {}) as file:
         for i, stamp_ns in enumerate(stamps_ns):

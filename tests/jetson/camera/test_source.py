@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
+from common import pacing
 from common.bus.status import Report
 from common.config import ConfigError
-from services.jetson.camera import source as source_module
 from services.jetson.camera.config import CameraConfig, CaptureConfig
 from services.jetson.camera.frames import Frame
-from services.jetson.camera.source import Pace, fitted, open_source
+from services.jetson.camera.source import fitted, open_source
 from spotter_sim.world import SCENARIOS
 
 
@@ -88,21 +88,10 @@ def test_a_video_is_read_to_its_end_at_its_own_pace(
     video: Path, report: Report, monkeypatch: pytest.MonkeyPatch, rate: str, period_s: float
 ) -> None:
     time = FakeTime()
-    monkeypatch.setattr(source_module, "monotonic_s", time)
+    monkeypatch.setattr(pacing, "monotonic_s", time)
     source, _ = open_source(CameraConfig(source=f"file:{video}{rate}"), report)
     assert len(list(source(time))) == 6  # type: ignore[arg-type]
     assert time.waited_s[:6] == [0.0, *[period_s] * 5]  # 25 Hz
-
-
-def test_time_lost_by_a_slow_step_is_not_caught_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    time = FakeTime()
-    monkeypatch.setattr(source_module, "monotonic_s", time)
-    pace = Pace(0.1, time)  # type: ignore[arg-type]
-    for step_s in (0.0, 0.0, 0.5, 0.0):
-        assert pace.wait()
-        time.now_s += step_s
-    assert pace.wait()
-    assert time.waited_s == [0.0, 0.1, 0.1, 0.0, 0.1]
 
 
 @pytest.mark.parametrize(("rate", "lossless"), [("?rate=0", True), ("", False), ("?rate=2", False)])
