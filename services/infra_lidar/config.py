@@ -95,8 +95,8 @@ class BackgroundConfig(Section, frozen=True, kw_only=True):
     tolerance_slope: NotNegative = 0.004  # metres per metre of range
 
 
-class BlindnessConfig(Section, frozen=True, kw_only=True):
-    """When the sensor has to say that it cannot see."""
+class VisibilityConfig(Section, frozen=True, kw_only=True):
+    """Limits below which the sensor counts as blind: the service then reports it as degraded."""
 
     min_points: Annotated[int, Meta(ge=0)] = 1000
     min_points_share: Share = 0.5  # of what this sensor usually returns
@@ -133,7 +133,7 @@ class InfraLidarConfig(ServiceConfig, frozen=True, kw_only=True):
     ground: GroundConfig = msgspec.field(default_factory=GroundConfig)
     clustering: ClusteringConfig = msgspec.field(default_factory=ClusteringConfig)
     background: BackgroundConfig = msgspec.field(default_factory=BackgroundConfig)
-    blindness: BlindnessConfig = msgspec.field(default_factory=BlindnessConfig)
+    visibility: VisibilityConfig = msgspec.field(default_factory=VisibilityConfig)
     classifier: ClassifierConfig = msgspec.field(default_factory=ClassifierConfig)
     tracking: TrackingConfig = msgspec.field(default_factory=TrackingConfig)
 

@@ -42,13 +42,13 @@ class InfraLidarPipeline:
         self.clustering = Clustering(config.clustering, config.ground.range_max_m)
         self.classifier = Classifier(config.classifier)
         self.tracker = MultiObjectTracker(config.tracking)
-        self.visibility = VisibilityMonitor(config.blindness)
+        self.visibility = VisibilityMonitor(config.visibility)
 
     def recalibrate(self) -> None:
         """Forget calibration, background and what the sensor usually sees; begin again with the next frame."""
         self.calibration.restart()
         self.scene.restart()
-        self.visibility = VisibilityMonitor(self.config.blindness)
+        self.visibility = VisibilityMonitor(self.config.visibility)
 
     def process(
         self, stamp_ns: int, returns: Returns, quality: FrameQuality | None = None, received_ns: int = 0

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from services.infra_lidar.config import BlindnessConfig
+from services.infra_lidar.config import VisibilityConfig
 
 _Sight = tuple[float, float, float, float]  # returns, near returns, beams, sectors
 USUAL_GAIN = 0.02  # share of a good frame in the running mean of what is usual
@@ -43,7 +43,7 @@ class FrameStatistics:
 class VisibilityMonitor:
     """Decides from the last frames whether the sensor is online or degraded, and why."""
 
-    def __init__(self, config: BlindnessConfig) -> None:
+    def __init__(self, config: VisibilityConfig) -> None:
         self._config = config
         # Of each frame: returns, near, beams, sectors, time in ms; packets, lost packets, whether incomplete
         self._window = np.zeros((config.window_frames, MEDIANS + 3))

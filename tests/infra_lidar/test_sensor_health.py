@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.infra_lidar.config import BlindnessConfig
+from services.infra_lidar.config import VisibilityConfig
 from services.infra_lidar.sensor_health import FrameQuality, FrameStatistics, VisibilityMonitor
 
 GOOD = FrameStatistics(returns=180_000, near=500, beams=128, sectors=72)
@@ -11,7 +11,7 @@ FINE = FrameQuality(packets=600)
 
 def _after(statistics, quality=FINE, total_ms=10.0, fault="", frames=12):
     """State and reason when a good sensor turns into this."""
-    monitor = VisibilityMonitor(BlindnessConfig())
+    monitor = VisibilityMonitor(VisibilityConfig())
     for _ in range(30):
         assert monitor.update(GOOD, FINE, 10.0, "") == ("online", "")
     for _ in range(frames):
@@ -59,13 +59,13 @@ def test_usual_is_not_learned_from_a_covered_sensor():
 
 
 def test_a_cloud_without_rings_has_no_beams_to_lose():
-    monitor = VisibilityMonitor(BlindnessConfig())
+    monitor = VisibilityMonitor(VisibilityConfig())
     for _ in range(20):
         assert monitor.update(FrameStatistics(9000, 0, 0, 72), None, 1.0, "")[0] == "online"
 
 
 def test_sight_comes_back():
-    monitor = VisibilityMonitor(BlindnessConfig())
+    monitor = VisibilityMonitor(VisibilityConfig())
     for statistics in [GOOD] * 20 + [FrameStatistics(300, 0, 128, 72)] * 20 + [GOOD] * 20:
         answer = monitor.update(statistics, FINE, 10.0, "")
     assert answer == ("online", "")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.infra_lidar.frames import frames_of
-from services.infra_lidar.config import BackgroundConfig, BlindnessConfig, InfraLidarConfig
+from services.infra_lidar.config import BackgroundConfig, InfraLidarConfig, VisibilityConfig
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.sensor_health import FrameQuality
 
@@ -53,7 +53,7 @@ def _run(frame, config, spoil=None, quality=None):
     return result.tracks.state, result.tracks.reason
 
 
-UNHURRIED = InfraLidarConfig(blindness=BlindnessConfig(budget_ms=1e6))  # a busy machine is not what is tested here
+UNHURRIED = InfraLidarConfig(visibility=VisibilityConfig(budget_ms=1e6))  # a busy machine is not what is tested here
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_losses_on_the_way_are_named(scene_frame, quality, words):
 
 
 def test_work_that_takes_too_long_is_named(scene_frame):
-    config = InfraLidarConfig(blindness=BlindnessConfig(budget_ms=1e-3))
+    config = InfraLidarConfig(visibility=VisibilityConfig(budget_ms=1e-3))
     state, reason = _run(scene_frame("open", 4).points, config)
     assert state == "degraded"
     assert "ms a frame" in reason

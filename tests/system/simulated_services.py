@@ -15,7 +15,7 @@ from common import clock as clocks
 from common import topics
 from common.bus.status import Report
 from common.path import Motion
-from services.infra_lidar.config import BlindnessConfig, InfraLidarConfig
+from services.infra_lidar.config import InfraLidarConfig, VisibilityConfig
 from services.infra_lidar.input import source as infra_source
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.jetson.camera import source as camera_source
@@ -131,7 +131,7 @@ def camera(scenario: str, sent: Sent) -> Iterator[Any]:
 
 def infra_lidar(scenario: str, sent: Sent) -> Iterator[Any]:
     """With half of the columns; how long a frame takes on this machine is no part of the story."""
-    config = InfraLidarConfig(source=f"sim:{scenario}?columns=900", blindness=BlindnessConfig(budget_ms=1e6))
+    config = InfraLidarConfig(source=f"sim:{scenario}?columns=900", visibility=VisibilityConfig(budget_ms=1e6))
     config = msgspec.structs.replace(config, T_map_sensor=infra_source.surveyed_pose(config))
     pipeline = InfraLidarPipeline(config)
     for stamp_ns, frame in infra_source.open_source(config, sent.report):

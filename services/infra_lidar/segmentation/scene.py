@@ -68,7 +68,7 @@ class Scene:
     def __init__(self, config: InfraLidarConfig, monitor: CalibrationMonitor, stored: BackgroundModel | None) -> None:
         self._config = config
         self._monitor = monitor
-        self.ground = Ground(config.ground, config.blindness.near_m)
+        self.ground = Ground(config.ground, config.visibility.near_m)
         self._map_cells = MapCells(config.clustering, config.ground.range_max_m)
         self._occupancy: Occupancy | None = None  # while the background is learned
         self.background = Background(config.background, self._on_these_grids(stored))
@@ -116,7 +116,7 @@ class Scene:
             self.background.model, static_map=self._occupancy.static_map(), drops=self._drops
         )
         self._occupancy = None
-        foreground = self.background.subtract_background(returns, self._config.blindness.near_m)
+        foreground = self.background.subtract_background(returns, self._config.visibility.near_m)
         if foreground is None:
             return np.zeros(len(returns), bool)
         return BackgroundMask(returns, self.background.model, foreground.index).mask
@@ -158,7 +158,7 @@ class Scene:
         if not self._config.background.enabled or not self._monitor.settled:
             return None
         self.background.match_stored_model(returns)
-        return self.background.subtract_background(returns, self._config.blindness.near_m)
+        return self.background.subtract_background(returns, self._config.visibility.near_m)
 
     def _segment_whole(self, stamp_ns: int, returns: Returns, calibration: Calibration) -> Segmentation:
         levelled = self.ground.level_only(points_of(returns), calibration.T_level_sensor)

@@ -65,7 +65,7 @@ def at(words: list[str], port: int) -> list[str]:
         return [*words, "--router", where, *(["--columns", "600"] if "points" in words else ["--seconds", "200"])]
     if words[0] == "spotter":
         return [*words, "--connect", f"tcp/{where}"]
-    return [*words, "--set", f'zenoh.connect=["tcp/{where}"]', "--set", "blindness.budget_ms=1000"]
+    return [*words, "--set", f'zenoh.connect=["tcp/{where}"]', "--set", "visibility.budget_ms=1000"]
 
 
 def answers(port: int) -> bool:
