@@ -82,11 +82,11 @@ def broken(lab: Lab, host: str, fault: str) -> Iterator[None]:
         lab.heal(host)
 
 
-class Ear:
-    """A process on a host of the lab that hears verdict and health, each as one line with its monotonic time."""
+class TopicTap:
+    """A process on a host of the lab that receives verdict and health, each as one line with its monotonic time."""
 
     def __init__(self, lab: Lab, host: str) -> None:
-        words = ["ip", "netns", "exec", lab.space(host), sys.executable, "-m", "benchmarks.lab_ear"]
+        words = ["ip", "netns", "exec", lab.space(host), sys.executable, "-m", "benchmarks.lab_tap"]
         self._process = subprocess.Popen([*words, str(lab.folder), host], stdout=subprocess.PIPE)
         self._lines: list[Line] = []
         self._news = threading.Condition()
@@ -101,7 +101,7 @@ class Ear:
                 self._news.notify_all()
 
     def wait(self, wanted: Fits, since_s: float = 0.0, budget_s: float = 60.0) -> float:
-        """When such a line first came after ``since_s``.
+        """The time of the first such line after ``since_s``.
 
         Raises:
             TimeoutError: it did not come within ``budget_s``.
@@ -115,7 +115,7 @@ class Ear:
                 looked_at = len(self._lines)
                 left_s = deadline_s - monotonic_s()
                 if left_s <= 0.0:
-                    raise TimeoutError(f"not heard within {budget_s} s; last: {self._lines[-2:]}")
+                    raise TimeoutError(f"not received within {budget_s} s; last: {self._lines[-2:]}")
                 self._news.wait(left_s)
 
     def between(self, start_s: float, end_s: float) -> list[Line]:
@@ -133,7 +133,7 @@ class Ear:
 
 
 def is_verdict(line: Line) -> bool:
-    """A verdict, whatever it says."""
+    """True for any verdict."""
     return bool(line["kind"] == "verdict")
 
 
@@ -143,25 +143,25 @@ def state(sensor: str, *wanted: str) -> Fits:
 
 
 def all_online(line: Line) -> bool:
-    """A health message without a blemish."""
+    """A health message in which all sensors are online."""
     return all(state(sensor, "online")(line) for sensor in topics.SENSOR_TOPICS)
 
 
 @dataclass(frozen=True)
 class Noticed:
-    """What a listener heard while something was broken; times in seconds, None = it never happened."""
+    """What a tap received during a fault; times in seconds, None = it never happened."""
 
     notice_s: float | None  # from the fault to the first sign of it
     recover_s: float | None  # from its end to everything online again
     verdict_hz: float  # meanwhile
     gap_s: float  # the longest time without a verdict
     causes: tuple[str, ...]  # what health named
-    wrong: tuple[str, ...]  # what it should not have said
+    wrong: tuple[str, ...]  # statements that must not occur
 
     @classmethod
-    def by(cls, ear: Ear, lost: tuple[str, ...], begun_s: float, ended_s: float, back_s: float) -> Noticed:
-        """From an ear on the vehicle: ``lost`` are the sensors that have to be missed, and no others may be."""
-        lines = ear.between(begun_s, ended_s)
+    def by(cls, tap: TopicTap, lost: tuple[str, ...], begun_s: float, ended_s: float, back_s: float) -> Noticed:
+        """From a tap on the vehicle: exactly the sensors in ``lost`` have to be reported missing."""
+        lines = tap.between(begun_s, ended_s)
         health = [line for line in lines if line["kind"] == "health"]
         bad = [line for line in health if any(line["states"].get(name) != "online" for name in topics.SENSOR_TOPICS)]
         times_s = _verdict_times_s(lines, begun_s, ended_s)
@@ -175,9 +175,9 @@ class Noticed:
         )
 
     @classmethod
-    def by_laptop(cls, ear: Ear, begun_s: float, ended_s: float, back_s: float) -> Noticed:
-        """From an ear that may itself be cut off: it notices by the age of the newest verdict."""
-        times_s = _verdict_times_s(ear.between(begun_s, ended_s), begun_s, ended_s)
+    def by_laptop(cls, tap: TopicTap, begun_s: float, ended_s: float, back_s: float) -> Noticed:
+        """From a tap that may itself be cut off: it detects the fault by the age of the newest verdict."""
+        times_s = _verdict_times_s(tap.between(begun_s, ended_s), begun_s, ended_s)
         silent = next((a for a, b in pairwise(times_s) if b - a > VERDICT_AGE_S), None)
         return cls(
             notice_s=None if silent is None else silent + VERDICT_AGE_S - begun_s,

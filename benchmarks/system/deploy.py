@@ -42,13 +42,13 @@ SAID = {
 
 
 class Bench:
-    """The lab, an ear on the vehicle and one on the laptop."""
+    """The lab, a tap on the vehicle and one on the laptop."""
 
     def __init__(self, stack: ExitStack) -> None:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         self.lab = stack.enter_context(Lab(site.HOSTS, folder))
         site.make_site(self.lab)
-        self.vehicle = site.Ear(self.lab, "jetson0")
+        self.vehicle = site.TopicTap(self.lab, "jetson0")
         self.open_laptop()
         stack.callback(self.vehicle.close)
         stack.callback(lambda: self.laptop.close())
@@ -69,7 +69,7 @@ class Bench:
 
     def open_laptop(self) -> None:
         """It begins to listen now."""
-        self.laptop = site.Ear(self.lab, LAPTOP)
+        self.laptop = site.TopicTap(self.lab, LAPTOP)
 
     def stop(self) -> None:
         """Switch every host off."""
@@ -234,7 +234,7 @@ def _count(bench: Bench, more: list[str]) -> dict[str, Any]:
 
 
 def _count_words(bench: Bench, more: list[str]) -> list[str]:
-    words = [sys.executable, "-m", "benchmarks.lab_ear", str(bench.lab.folder), "laptop1", "count", str(COUNT_S)]
+    words = [sys.executable, "-m", "benchmarks.lab_tap", str(bench.lab.folder), "laptop1", "count", str(COUNT_S)]
     return [*words, *filter(None, more)]
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import zenoh
 
-from benchmarks.lab_ear import session_on
+from benchmarks.lab_tap import session_on
 from common.bus.session import close_session, open_session
 from common.codec import encode
 from common.config import ZenohConfig

@@ -1,6 +1,6 @@
 """A site of five hosts, each a network namespace, with real services, TLS and rules: boot orders, broken links, lies.
 
-One ear is on the vehicle, one on a laptop behind the gate. Times are generous; the figures are in compose/README.md.
+One tap is on the vehicle, one on a laptop behind the gate. Times are generous; the figures are in compose/README.md.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from benchmarks.lab import (
     HOSTS,
     SERVICES,
     SPOTTER,
-    Ear,
     Noticed,
+    TopicTap,
     all_online,
     broken,
     is_verdict,
@@ -49,16 +49,16 @@ def boot(lab: Lab, host: str) -> None:
 
 @dataclass
 class Site:
-    """The lab and its two ears."""
+    """The lab and its two taps."""
 
     lab: Lab
-    vehicle: Ear
-    laptop: Ear
+    vehicle: TopicTap
+    laptop: TopicTap
 
     def in_order(self) -> float:
         """When everything was online, at or after this moment, for the vehicle and the laptop."""
         now_s = monotonic_s()
-        return max(ear.wait(all_online, now_s, 120.0) for ear in (self.vehicle, self.laptop))
+        return max(tap.wait(all_online, now_s, 120.0) for tap in (self.vehicle, self.laptop))
 
 
 @pytest.fixture(scope="module")
@@ -69,16 +69,16 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
         pytest.skip(why)
     with Lab(HOSTS, tmp_path_factory.mktemp("hosts")) as lab:
         make_site(lab)
-        ears = [Ear(lab, host) for host in ("jetson0", "laptop1")]
+        taps = [TopicTap(lab, host) for host in ("jetson0", "laptop1")]
         try:
             for host in reversed(SERVICES):
                 boot(lab, host)
-            site = Site(lab, *ears)
+            site = Site(lab, *taps)
             site.in_order()
             yield site
         finally:
-            for ear in ears:
-                ear.close()
+            for tap in taps:
+                tap.close()
 
 
 @pytest.mark.parametrize("order", BOOT_ORDERS, ids="-".join)

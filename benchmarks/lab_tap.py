@@ -1,7 +1,7 @@
-"""Runs on one host of a lab and tells what it hears as JSON lines.
+"""Runs on one host of a lab and prints the messages that it receives as JSON lines.
 
-python -m benchmarks.lab_ear FOLDER HOST                 # verdict and health
-python -m benchmarks.lab_ear FOLDER HOST count SECONDS [TOPIC...]  # messages, bytes and delays by key
+python -m benchmarks.lab_tap FOLDER HOST                 # verdict and health
+python -m benchmarks.lab_tap FOLDER HOST count SECONDS [TOPIC...]  # messages, bytes and delays by key
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ LAPTOP_AT = "gate0"
 
 
 def session_on(folder: Path, host: str) -> zenoh.Session:
-    """As one of this host's own services, or as a laptop at gate0's router."""
+    """A session like that of a service of this host, or of a laptop at gate0\'s router."""
     site = load_site(folder / "site.toml")
     if host not in site.hosts:
         return open_session(laptop_config(site, host, folder / "keys", LAPTOP_AT))
     return open_session(ZenohConfig(namespace=site.namespace, connect=(site.host(host).loopback,)))
 
 
-def told(message: Message) -> dict[str, Any]:
-    """What matters of a verdict or a health message."""
+def summary(message: Message) -> dict[str, Any]:
+    """The fields of a verdict or a health message that the tests use."""
     if isinstance(message, SystemHealth):
         return {
             "kind": "health",
@@ -51,26 +51,26 @@ def told(message: Message) -> dict[str, Any]:
 
 
 def listen(session: zenoh.Session) -> None:
-    """Tell every verdict and health message until somebody ends this process."""
+    """Print every verdict and health message until this process is ended."""
     one_at_a_time = threading.Lock()
 
-    def tell(sample: zenoh.Sample) -> None:
+    def report(sample: zenoh.Sample) -> None:
         at_s, topic = monotonic_s(), topics.find_topic(str(sample.key_expr))
         assert topic is not None
         try:
-            line = {"at": at_s, **told(decode(sample.payload.to_bytes(), topic.message))}
+            line = {"at": at_s, **summary(decode(sample.payload.to_bytes(), topic.message))}
         except DecodeError as error:
-            line = {"at": at_s, "kind": "nonsense", "why": str(error)}
+            line = {"at": at_s, "kind": "undecodable", "why": str(error)}
         with one_at_a_time:
             print(json.dumps(line), flush=True)
 
-    kept = [session.declare_subscriber(t.any_host, tell) for t in (topics.FUSION_VERDICT, topics.FUSION_HEALTH)]
+    kept = [session.declare_subscriber(t.any_host, report) for t in (topics.FUSION_VERDICT, topics.FUSION_HEALTH)]
     threading.Event().wait()
     del kept
 
 
 def count(session: zenoh.Session, seconds: float, more: list[str]) -> None:
-    """One JSON object: by key the bytes of each message and its way from sender to here in ms."""
+    """One JSON object: by key the bytes of each message and its transport time in ms."""
     seen: dict[str, dict[str, list[float]]] = {}
 
     def note(sample: zenoh.Sample) -> None:
