@@ -25,8 +25,8 @@ def swap(
     candidate: Annotated[str, typer.Option("--candidate", help="Command of the replacement, e.g. 'spotter-radar'.")],
     seconds: Annotated[float, typer.Option(min=1.0, help="How long both are compared.")] = 20.0,
     probation: Annotated[float, typer.Option(min=1.0, help="How long the new one is watched.")] = 5.0,
-    min_rate: Annotated[float, typer.Option(help="Of the live rate.")] = Limits().rate,
-    min_matches: Annotated[float, typer.Option(help="Of the objects of both.")] = Limits().matches,
+    min_rate: Annotated[float, typer.Option(help="Least rate, as share of the live one.")] = Limits().rate,
+    min_matches: Annotated[float, typer.Option(help="Least share of objects in common.")] = Limits().matches,
     max_weaker: Annotated[float, typer.Option(help="Share of messages with a lower level.")] = Limits().weaker,
     host: Annotated[
         str, typer.Option("--host", callback=own_name, help="Where it runs, if not where the topics table says.")
@@ -38,7 +38,7 @@ def swap(
         str, typer.Option("--start", help="How its supervisor starts the old one again, to roll back.")
     ] = "",
     leave: Annotated[
-        bool, typer.Option("--leave", help="End at once, also when no supervisor minds the new process.")
+        bool, typer.Option("--leave", help="End at once, also when no supervisor watches the new process.")
     ] = False,
     log: Annotated[Path | None, typer.Option("--log", help="The candidate's output; default swap-SERVICE.log.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Compare only.")] = False,
@@ -47,7 +47,7 @@ def swap(
     namespace: Namespace = "",
 ) -> None:
     """Run a candidate in the shadow of a live service, compare, promote it or leave everything as it is."""
-    for signum in (signal.SIGTERM, signal.SIGHUP):  # however it is ended, no candidate is left behind
+    for signum in (signal.SIGTERM, signal.SIGHUP):  # so that the candidate is stopped in these cases too
         signal.signal(signum, signal.default_int_handler)
     try:
         row = service_row(service)
@@ -74,13 +74,13 @@ def swap(
     print(msgspec.json.encode(outcome).decode() if as_json else "\n".join(_lines(order, outcome)), flush=True)
     kept = 0
     if live is not None and not leave:
-        _say(f"minding process {live.process.pid}: started again when it dies; Ctrl-C stops it")
+        _say(f"supervising process {live.process.pid}: started again when it dies; Ctrl-C stops it")
         kept = keep(service, live, _say)
     raise SystemExit(kept or (0 if outcome.promoted or (dry_run and not outcome.reasons) else 1))
 
 
 def _check_command(option: str, command: str) -> None:
-    """Before anything is started: words that cannot be taken apart would end the swap in the middle."""
+    """Check before anything is started that the command can be split into words."""
     try:
         words = shlex.split(command)
     except ValueError as error:
@@ -102,17 +102,17 @@ def _lines(order: Order, outcome: Outcome) -> list[str]:
             f"objects   {_share(c.matches)} in common over {c.pairs} pairs of messages",
             f"level     lower in {_share(c.weaker)}, higher in {_share(c.stronger)}",
         ]
-    if (h := outcome.handover) is not None:
+    if (h := outcome.switchover) is not None:
         lines += [
-            f"handover  {_change(h.change_ms)}; {h.missed} missed (before: {h.missed_before}), {h.lost} lost",
+            f"switchover {_change(h.change_ms)}; {h.missed} missed (before: {h.missed_before}), {h.lost} lost",
             f"gaps      longest {_ms(h.longest_gap_ms)} (before: {_ms(h.longest_gap_before_ms)}), "
             f"usual {_ms(h.usual_gap_ms)}",
             f"flaps     verdict {h.verdict_flaps} (before: {h.verdict_flaps_before}), "
             f"health {h.health_flaps} (before: {h.health_flaps_before})",
         ]
     if outcome.promoted:
-        minded = " (its host's supervisor minds it)" if outcome.supervised else ""
-        lines.append(f"promoted: {outcome.new}, process {outcome.pid}{minded}. For the next start put into site.toml:")
+        watched = " (watched by its host's supervisor)" if outcome.supervised else ""
+        lines.append(f"promoted: {outcome.new}, process {outcome.pid}{watched}. For the next start put into site.toml:")
         lines.append(f"  [hosts.{order.host}.services.{order.service}]  command = {order.candidate!r}")
     elif not outcome.reasons:
         lines.append("it may take over (nothing was changed)")
@@ -120,7 +120,7 @@ def _lines(order: Order, outcome: Outcome) -> list[str]:
 
 
 def _change(change_ms: float) -> str:
-    return f"after {change_ms:.0f} ms" if change_ms >= 0.0 else f"both spoke for {-change_ms:.0f} ms"
+    return f"after {change_ms:.0f} ms" if change_ms >= 0.0 else f"both published for {-change_ms:.0f} ms"
 
 
 def _ms(value: float | None) -> str:

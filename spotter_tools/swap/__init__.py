@@ -1,1 +1,1 @@
-"""Replacing a running service: a candidate speaks in the shadow, is compared with the live one, and takes over."""
+"""Replacing a running service: a candidate publishes in the shadow, is compared with the live one, and takes over."""

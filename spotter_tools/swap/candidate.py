@@ -19,14 +19,14 @@ from common.host.process_plan import service_environment
 from common.security.rules import SHADOW
 
 STOP_BUDGET_S = 5.0
-# A service that is not ours is told by these where it belongs.
+# Services of other makers read these to find host, router and namespace.
 OF_A_SERVICE = ("SPOTTER_HOST", "SPOTTER_CONNECT", "SPOTTER_NAMESPACE", INBOX_VARIABLE)
 
 
 def command_line(command: str, host: str, connect: str, namespace: str) -> list[str]:
-    """The candidate's words; our own services get their place as settings, others read it from the environment.
+    """The candidate\'s command line. Our own services get host and router as settings, others from the environment.
 
-    A console script that is not on the PATH is looked for beside this interpreter, where its siblings are.
+    A console script that is not on the PATH is searched beside this interpreter.
     """
     words = shlex.split(command)
     sibling = Path(sys.executable).parent / words[0]
@@ -48,14 +48,13 @@ class Live:
 
     @classmethod
     def start(cls, words: list[str], environment: dict[str, str], output: IO[bytes]) -> Live:
-        """In a session of its own, so that a Ctrl-C here does not reach it."""
+        """In a session of its own, so that Ctrl-C here does not reach it."""
         process = subprocess.Popen(
             words, env=environment, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
         )
         return cls(process, words, _without_swap(environment))
 
     def stop(self) -> None:
-        """End it."""
         """SIGTERM, then SIGKILL if it has not ended in time."""
         if self.process.poll() is not None:
             return
@@ -68,7 +67,7 @@ class Live:
 
 
 class Candidate:
-    """A process in the shadow. Its log goes to a file."""
+    """A process that publishes in the shadow. Its log goes to a file."""
 
     def __init__(self, words: list[str], variables: dict[str, str], succeeds: str, log: Path) -> None:
         environment = {**service_environment(), **variables, "SPOTTER_SHADOW": SHADOW, "SPOTTER_SUCCEEDS": succeeds}
@@ -90,7 +89,7 @@ class Candidate:
         return f"it ended with code {code}: {lines[-1] if lines else 'no output'}"
 
     def promote(self) -> None:
-        """Tell it to speak under the live keys."""
+        """Make it publish under the live keys."""
         self.live.process.send_signal(PROMOTE)
 
     def stop(self) -> None:
@@ -120,8 +119,8 @@ class Predecessor:
         """Variables of the candidate, so that the next swap finds the same supervisor."""
         return {INBOX_VARIABLE: str(self.inbox)} if self.inbox is not None else {}
 
-    def tell_supervisor(self, new: Live, *, kept: bool) -> None:
-        """Name the new process; until it is kept, its end brings the old command back."""
+    def inform_supervisor(self, new: Live, *, kept: bool) -> None:
+        """Give the supervisor the new process. Until it is ``kept``, the old command is started again when it ends."""
         if self.inbox is not None:
             known = Successor(new.process.pid, new.words, new.environment, str(Path.cwd()), kept)
             write_successor(self.inbox, self.service, known)
@@ -139,7 +138,7 @@ class Predecessor:
             os.kill(self.pid, signal.SIGTERM)
 
     def start_again(self, log: Path) -> bool:
-        """By its supervisor, or with the words and the environment that it had; False when that is not possible."""
+        """By its supervisor, or with its old command line and environment; False when that is not possible."""
         if self.inbox is not None:
             return True  # done as soon as the new one has ended
         try:
@@ -155,9 +154,9 @@ class Predecessor:
 
 
 def _remember(pid: int) -> tuple[list[str], dict[str, str]]:
-    """Words and environment of a process of ours on this machine, read before it is stopped; empty if not here.
+    """Command line and environment of a service\'s process, read before it is stopped; empty if not on this machine.
 
-    The number is that of the service's own machine. Here another program may have it, which must not be stopped.
+    The process id is that of the service\'s machine. Another program may have it here, and must not be stopped.
     """
     try:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")[:-1]
@@ -171,6 +170,6 @@ def _remember(pid: int) -> tuple[list[str], dict[str, str]]:
 
 
 def _without_swap(environment: dict[str, str]) -> dict[str, str]:
-    """As for a service that was always live and has no supervisor."""
+    """The environment without the variables of a shadow or a supervisor."""
     gone = ("SPOTTER_SHADOW", "SPOTTER_SUCCEEDS", "NOTIFY_SOCKET", "WATCHDOG_PID", "WATCHDOG_USEC")
     return {name: value for name, value in environment.items() if name not in gone}

@@ -9,7 +9,7 @@ from spotter_tools.swap.candidate import Live
 
 
 def keep(service: str, live: Live, say: Callable[[str], None]) -> int:
-    """Start the process again whenever it dies; Ctrl-C (and what the command line made the same) stops it.
+    """Start the process again whenever it dies; Ctrl-C (SIGTERM and SIGHUP act the same) stops it.
 
     Returns the exit code.
 

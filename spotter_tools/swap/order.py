@@ -1,4 +1,4 @@
-"""What a swap is asked to do, and how it ended."""
+"""The options of a swap, and its outcome."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     promoted: bool
     reasons: tuple[str, ...] = ()
     comparison: Comparison | None = None
-    handover: Gap | None = None
+    switchover: Gap | None = None
     old: str = ""
     new: str = ""
     pid: int | None = None
@@ -43,7 +43,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Refused(Exception):
-    """The swap does not go on; ``comparison`` if it came that far."""
+    """The swap is refused; with ``comparison`` if it got that far."""
 
     def __init__(self, *reasons: str, comparison: Comparison | None = None) -> None:
         super().__init__("; ".join(reasons))

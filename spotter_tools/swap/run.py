@@ -1,4 +1,4 @@
-"""The steps of a swap, in order. Whatever goes wrong before the old service is stopped leaves it as it was."""
+"""The steps of a swap, in order. A failure before the old service is stopped does not change anything."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def swap(session: zenoh.Session, order: Order, say: Callable[[str], None]) -> tu
 def _running(session: zenoh.Session, order: Order) -> ServiceInfo:
     """The one live instance."""
     found: list[ServiceInfo] = []
-    key, everybody = topics.info_key(order.host, order.service), zenoh.QueryTarget.ALL
-    for reply in session.get(key, target=everybody, consolidation=zenoh.ConsolidationMode.NONE, timeout=2.0):
+    key, all_of_them = topics.info_key(order.host, order.service), zenoh.QueryTarget.ALL
+    for reply in session.get(key, target=all_of_them, consolidation=zenoh.ConsolidationMode.NONE, timeout=2.0):
         try:
             found += [decode(reply.ok.payload.to_bytes(), ServiceInfo)] if reply.ok is not None else []
         except DecodeError:
@@ -76,7 +76,7 @@ def _start(order: Order, old: ServiceInfo, predecessor: Predecessor) -> Candidat
 
 
 def _compare(order: Order, taps: SwapTaps, candidate: Candidate, say: Callable[[str], None]) -> Comparison:
-    """Wait until the candidate is warm, then listen to both for ``seconds``."""
+    """Wait until the candidate is online, then receive both for ``seconds``."""
     say(f"candidate {candidate.pid} in the shadow; log in {order.log}")
     if not taps.shadow.wait(lambda heard: any(map(_is_online, heard)), START_BUDGET_S, candidate.ended):
         late = f"it was not online within {START_BUDGET_S:.0f} s; see {order.log}"

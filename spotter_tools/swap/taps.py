@@ -21,14 +21,14 @@ START_BUDGET_S = 90.0
 
 
 class TopicTap:
-    """Everything on one key, in order; ``since`` forgets what came before."""
+    """Keeps all messages of one key, in order; ``since`` drops older ones."""
 
     def __init__(self, session: zenoh.Session, key: str, topic: Topic) -> None:
         self._topic = topic
-        self._heard: list[Received] = []
+        self._received: list[Received] = []
         self._news = threading.Condition()
         self.undecodable = 0
-        self.wrong = ""  # with the last one that could not be decoded
+        self.wrong = ""  # error of the last one that could not be decoded
         self._subscriber = session.declare_subscriber(key, self._note)
 
     def _note(self, sample: zenoh.Sample) -> None:
@@ -39,32 +39,32 @@ class TopicTap:
             self.undecodable, self.wrong = self.undecodable + 1, str(error)
             return
         with self._news:
-            self._heard.append(Received(message, arrived_s))
+            self._received.append(Received(message, arrived_s))
             self._news.notify_all()
 
     def since(self, start_s: float) -> list[Received]:
-        """Messages that arrived since a monotonic time; older ones are forgotten."""
+        """Messages that arrived since a monotonic time; older ones are dropped."""
         with self._news:
-            self._heard = [heard for heard in self._heard if heard.arrived_s >= start_s]
-            return list(self._heard)
+            self._received = [one for one in self._received if one.arrived_s >= start_s]
+            return list(self._received)
 
     def wait(self, reached: Callable[[list[Received]], object], budget_s: float, give_up: Callable[[], object]) -> bool:
         """Until ``reached`` holds for the received messages; False when the budget is over or ``give_up()`` is true."""
         deadline_s = monotonic_s() + budget_s
         with self._news:
-            while not reached(self._heard):
+            while not reached(self._received):
                 if monotonic_s() > deadline_s or give_up():
                     return False
                 self._news.wait(0.2)
         return True
 
     def close(self) -> None:
-        """Stop listening."""
+        """End the subscription."""
         undeclare(self._subscriber)
 
 
 def primary(service: str) -> Topic:
-    """The topic that others decide on, or the status of a service that has none."""
+    """The topic with an age limit, which others depend on; otherwise the status of the service."""
     found = [t for t in topics.DATA_TOPICS if t.service == service and t.age_limit_s is not None]
     return found[0] if found else topics.status_topic(service)
 

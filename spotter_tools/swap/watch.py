@@ -12,9 +12,9 @@ from spotter_tools.swap.compare import Received
 
 
 class Gap(msgspec.Struct, frozen=True, kw_only=True):
-    """What the messages of a topic show of the handover.
+    """Figures of the switchover from the messages of a topic.
 
-    A busy machine misses measurements at all times, so the same figures of the time before stand beside them.
+    A busy machine misses measurements at all times, so the same figures are given for the time before.
     """
 
     messages: int
@@ -31,24 +31,24 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     health_flaps_before: int
 
 
-def speakers(live: list[Received], last_old: int, last_new: int) -> tuple[list[Received], list[Received]]:
+def by_sender(live: list[Received], last_old: int, last_new: int) -> tuple[list[Received], list[Received]]:
     """Divide the messages between the old process and its successor: each continues its own sequence numbers.
 
-    ``last_old`` and ``last_new`` are the last numbers before the handover, the new one's in the shadow.
+    ``last_old`` and ``last_new`` are the last numbers before the switchover, the new one\'s in the shadow.
     """
     next_seq = [last_old + 1, last_new + 1]
-    said: tuple[list[Received], list[Received]] = ([], [])
-    speaker = 0
+    sent: tuple[list[Received], list[Received]] = ([], [])
+    sender = 0
     for heard in live:
         apart = [abs(heard.message.seq - expected) for expected in next_seq]
         if apart[0] != apart[1]:  # else the sender of the last message: one sequence may pass the end of the other
-            speaker = int(apart[1] < apart[0])
-        said[speaker].append(heard)
-        next_seq[speaker] = heard.message.seq + 1
-    return said
+            sender = int(apart[1] < apart[0])
+        sent[sender].append(heard)
+        next_seq[sender] = heard.message.seq + 1
+    return sent
 
 
-def handover_seen(
+def measure_switchover(
     service: str,
     before: list[Received],
     old: list[Received],
@@ -56,7 +56,7 @@ def handover_seen(
     verdicts: list[Received],
     health: list[Received],
 ) -> Gap:
-    """Gaps of the topic before and after the handover from ``old`` to ``new``, and flaps of verdict and health.
+    """Gaps of the topic before and after the switchover from ``old`` to ``new``, and flaps of verdict and health.
 
     ``verdicts`` and ``health`` cover the times before and after.
     """
@@ -83,7 +83,7 @@ def handover_seen(
 
 
 def arrival_gaps_s(heard: list[Received]) -> list[float]:
-    """Between one message and the next."""
+    """Seconds between consecutive messages."""
     return [later.arrived_s - earlier.arrived_s for earlier, later in pairwise(heard)]
 
 
@@ -94,7 +94,7 @@ def missed(heard: list[Received], usual_s: float) -> int:
 
 
 def lost(heard: list[Received]) -> int:
-    """Holes in one sender's count."""
+    """Sequence numbers of one sender that are missing."""
     return sum(max(0, later.message.seq - earlier.message.seq - 1) for earlier, later in pairwise(heard))
 
 

@@ -25,7 +25,7 @@ from spotter_tools.swap.order import Outcome, Refused
 from spotter_tools.swap.run import _start
 from spotter_tools.swap.switchover import Switchover
 from spotter_tools.swap.taps import primary
-from spotter_tools.swap.watch import flaps, handover_seen, lost, speakers
+from spotter_tools.swap.watch import by_sender, flaps, lost, measure_switchover
 
 
 def radar(t_s: float, *ranges_m: float, level: Any = "SAFE", latency_s: float = 0.02, **more: Any) -> Received:
@@ -120,7 +120,7 @@ def test_succession_is_in_the_token() -> None:
 
 def test_gaps_and_flaps_are_counted() -> None:
     before, old = stream(10), stream(3, start_s=1001.0)
-    seen = handover_seen("radar", before, old, stream(10, start_s=1001.6), [], [])
+    seen = measure_switchover("radar", before, old, stream(10, start_s=1001.6), [], [])
     assert seen.longest_gap_ms == pytest.approx(400.0)
     assert seen.change_ms == pytest.approx(400.0)
     assert (seen.missed, seen.missed_before) == (3, 0)
@@ -131,7 +131,7 @@ def test_what_is_told_twice_or_late_makes_up_for_nothing() -> None:
     """Both speak for half a second, and one measurement of the time after that is missing."""
     old, new = stream(6), stream(6, start_s=1000.03) + stream(10, start_s=1000.73)
     new[-1] = Received(new[-1].message, new[-1].arrived_s + 0.3)  # late, not missed
-    seen = handover_seen("radar", stream(20, start_s=998.0), old, new, [], [])
+    seen = measure_switchover("radar", stream(20, start_s=998.0), old, new, [], [])
     assert seen.change_ms == pytest.approx(-470.0)
     assert seen.missed == 1
     assert seen.longest_gap_ms == pytest.approx(400.0)
@@ -142,10 +142,10 @@ def health(at_s: float, state: Any) -> Received:
     return Received(SystemHealth(stamp_ns=1, sensors={"radar": sensor}, colour="green", summary="", services={}), at_s)
 
 
-def test_what_was_so_before_is_no_fault_of_the_handover() -> None:
+def test_what_was_so_before_is_no_fault_of_the_switchover() -> None:
     before, new = stream(20), stream(20, start_s=1002.0)
     states = [health(1000.0 + 0.2 * i, "degraded" if i in (3, 6, 15) else "online") for i in range(20)]
-    seen = handover_seen("radar", before, [], new, [], states)
+    seen = measure_switchover("radar", before, [], new, [], states)
     assert (seen.health_flaps, seen.health_flaps_before) == (1, 2)
 
 
@@ -168,15 +168,15 @@ def numbered(*numbers: int) -> list[Received]:
     ids=["both", "some lost", "nothing of the new one", "past the old one's end", "nothing more of the old one"],
 )
 def test_who_spoke_is_known_by_whose_numbers_go_on(live: tuple[int, ...], by_new: list[int]) -> None:
-    old, new = speakers(numbered(*live), last_old=500, last_new=30)
+    old, new = by_sender(numbered(*live), last_old=500, last_new=30)
     assert [heard.message.seq for heard in new] == by_new
     assert lost(new) == sum(b - a - 1 for a, b in pairwise(by_new))
     assert len(old) + len(new) == len(live)
 
 
 def test_two_with_the_same_numbers_are_told_apart_once_both_speak() -> None:
-    assert not speakers(numbered(31, 32, 33), last_old=30, last_new=30)[1]
-    assert len(speakers(numbered(31, 31, 32, 32), last_old=30, last_new=30)[1]) == 2
+    assert not by_sender(numbered(31, 32, 33), last_old=30, last_new=30)[1]
+    assert len(by_sender(numbered(31, 31, 32, 32), last_old=30, last_new=30)[1]) == 2
 
 
 def test_the_topic_that_counts_is_the_one_others_decide_on() -> None:
@@ -239,7 +239,7 @@ def test_a_service_that_ended_by_itself_meanwhile_is_no_reason_to_end_its_succes
     outcome = switchover(predecessor, tmp_path).run()
     assert outcome.reasons[0] == "it ended with code 1"
     assert outcome.reasons[-1] == (
-        "the old service could not be started again and nobody does its work: start it yourself"
+        "the old service could not be started again and no process replaces it: start it yourself"
     )
 
 

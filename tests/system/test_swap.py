@@ -152,8 +152,8 @@ def test_an_equal_one_takes_over_and_is_minded(
     until(lambda: len(instances(laptop)) == 1)
     with swap(router_endpoint, tmp_path / "log", STANDIN) as (process, outcome):
         assert outcome["promoted"], outcome
-        assert outcome["handover"]["longest_gap_ms"] < 500.0  # the topic's age limit
-        assert outcome["handover"]["messages"] > 10
+        assert outcome["switchover"]["longest_gap_ms"] < 500.0  # the topic's age limit
+        assert outcome["switchover"]["messages"] > 10
         assert standin.wait(10) == 0
         until(lambda: instances(laptop) == {outcome["new"]})
         os.kill(outcome["pid"], 9)
