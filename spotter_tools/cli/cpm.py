@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import queue
 import socket
 import sys
@@ -20,6 +19,7 @@ from common.messages import ObjectTracks
 from common.topics import INFRA_TRACKS
 from spotter_tools.cli.connect import DEFAULT_ENDPOINT, Connect, Namespace, bus, own_name
 from spotter_tools.cli.fail import fail, needs_extra
+from spotter_tools.cli.newest import keep_newest
 from spotter_tools.cli.site_option import SiteFile, read_site
 
 NOBODY_AFTER_S, SENSORS_EVERY_S = 4.0, 1.0
@@ -56,7 +56,7 @@ def cpm(
     key, sent, sensors_due_s = INFRA_TRACKS.key(host), 0, 0.0
     told: str | None = None
     with bus(connect, namespace) as session, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:
-        session.declare_subscriber(key, lambda sample: _keep_newest(arrived, sample))
+        session.declare_subscriber(key, lambda sample: keep_newest(arrived, sample))
         while not count or sent < count:
             try:
                 message = decode(arrived.get(timeout=NOBODY_AFTER_S).payload.to_bytes(), ObjectTracks)
@@ -102,12 +102,3 @@ def _address(to: str) -> tuple[str, int]:
     if not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
         fail(f"--to {to}: expected HOST:PORT", code=2)
     return host, int(port)
-
-
-def _keep_newest(arrived: queue.Queue[zenoh.Sample], sample: zenoh.Sample) -> None:
-    """Drop the oldest where sending is too slow."""
-    with contextlib.suppress(queue.Empty):
-        if arrived.full():
-            arrived.get_nowait()
-    with contextlib.suppress(queue.Full):
-        arrived.put_nowait(sample)

@@ -18,6 +18,7 @@ from common.clock import monotonic_s
 from common.topics import CAMERA_IMAGE, DATA_TOPICS, INFRA_POINTS
 from spotter_tools.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespace, bus
 from spotter_tools.cli.fail import fail, needs_extra
+from spotter_tools.cli.newest import keep_newest
 from spotter_tools.cli.progress import Progress
 
 BACKLOG = 1000  # messages that wait for a slow Rerun before the oldest is dropped
@@ -85,10 +86,7 @@ def _live(connect: str, namespace: str, seconds: float, large: bool) -> Arrivals
         signal.signal(signum, lambda *_: stop.set())
 
     def note(sample: Any) -> None:
-        try:
-            arrivals.put_nowait((str(sample.key_expr), sample.payload.to_bytes()))
-        except queue.Full:
-            arrivals.get_nowait()
+        keep_newest(arrivals, (str(sample.key_expr), sample.payload.to_bytes()))
 
     wanted = [topic for topic in DATA_TOPICS if not topic.on_demand] + [topics.status_topic("*")]
     wanted += [CAMERA_IMAGE, INFRA_POINTS] if large else []

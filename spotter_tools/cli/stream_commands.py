@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import queue
 import sys
 import threading
@@ -22,6 +21,7 @@ from common.bus.published import why_silent
 from common.codec import DecodeError, decode, to_builtins
 from spotter_tools.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespace, bus
 from spotter_tools.cli.fail import fail
+from spotter_tools.cli.newest import keep_newest
 from spotter_tools.cli.render import readable
 from spotter_tools.cli.selection import Selection, select
 
@@ -39,7 +39,7 @@ def echo(
     selection, shown = select(key), 0
     arrived: queue.Queue[zenoh.Sample] = queue.Queue(100)
     with bus(connect, namespace) as session:
-        _subscribe(session, selection, lambda sample: _keep_newest(arrived, sample))
+        _subscribe(session, selection, lambda sample: keep_newest(arrived, sample))
         while not count or shown < count:
             try:
                 _print_sample(arrived.get(timeout=NOBODY_AFTER_S), as_json)
@@ -60,15 +60,6 @@ def _subscribe(session: zenoh.Session, selection: Selection, take: Callable[[zen
 
     for expression in selection.expressions:
         session.declare_subscriber(expression, chosen)
-
-
-def _keep_newest(arrived: queue.Queue[zenoh.Sample], sample: zenoh.Sample) -> None:
-    """Drop the oldest when the terminal is too slow."""
-    with contextlib.suppress(queue.Empty):
-        if arrived.full():
-            arrived.get_nowait()
-    with contextlib.suppress(queue.Full):
-        arrived.put_nowait(sample)
 
 
 def _fail_if_nobody(session: zenoh.Session, key: str) -> None:
