@@ -18,6 +18,7 @@ from common.clock import monotonic_s
 from common.codec import DecodeError, decode
 from common.messages import ServiceStatus, SystemHealth, Verdict
 from common.topics import DATA_TOPICS, SERVICES, find_topic, status_topic
+from spotter_tools.wording import without_numbers
 
 _PRIMARY = {topic.service: topic.product for topic in reversed(DATA_TOPICS) if topic.age_limit_s is not None}
 MAX_LATENCIES = 200_000
@@ -148,7 +149,7 @@ class DemoMonitor:
 
     def _note_health(self, system: SystemHealth) -> None:
         for name, sensor in system.sensors.items():
-            state = (sensor.state, _without_numbers(sensor.reason))
+            state = (sensor.state, without_numbers(sensor.reason))
             if self._last_state.get(name) != state:
                 self._last_state[name] = state
                 self._seen.health.append((self._elapsed_s(), name, sensor.state, sensor.reason))
@@ -159,7 +160,3 @@ class DemoMonitor:
 
 def _percentile(values: np.ndarray, percent: float) -> float | None:
     return round(float(np.percentile(values, percent)), 2) if len(values) else None
-
-
-def _without_numbers(text: str) -> str:
-    return "".join(character for character in text if not character.isdigit())

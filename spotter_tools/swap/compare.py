@@ -9,6 +9,7 @@ import numpy as np
 
 from common.messages import LEVELS, Message
 from common.topics import Topic
+from spotter_tools.wording import without_numbers
 
 # Per field of an object: how far two services may differ and still mean the same object.
 GATES = {
@@ -59,8 +60,8 @@ def compare(topic: Topic, seconds: float, live: list[Received], candidate: list[
     """Rates, latencies from measurement to sending, objects in common, and levels, over the same ``seconds``."""
     pairs = _pairs(topic, live, candidate)
     shares = [share for a, b in pairs if (share := in_common(a, b)) is not None]
-    known = {_without_numbers(_fault(heard.message)) for heard in live}
-    faults = {reason for heard in candidate if _without_numbers(reason := _fault(heard.message)) not in known}
+    known = {without_numbers(_fault(heard.message)) for heard in live}
+    faults = {reason for heard in candidate if without_numbers(reason := _fault(heard.message)) not in known}
     return Comparison(
         seconds=seconds,
         live_hz=round(len(live) / seconds, 2),
@@ -170,10 +171,6 @@ def _rank(message: Message) -> int:
 
 def _fault(message: Message) -> str:
     return str(getattr(message, "reason", "")) if getattr(message, "state", "online") != "online" else ""
-
-
-def _without_numbers(text: str) -> str:
-    return "".join(character for character in text if not character.isdigit())
 
 
 def _p95_ms(heard: list[Received]) -> float | None:
