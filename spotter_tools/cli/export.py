@@ -15,10 +15,10 @@ import typer
 from common.geodesy import NO_ORIGIN, MapOrigin
 from common.messages import ObjectTracks
 from spotter_tools.cli.connect import AsJson
+from spotter_tools.cli.export_tables import COLUMNS, Row, columns, rows
 from spotter_tools.cli.fail import fail
 from spotter_tools.cli.recorded_messages import messages, one_host, tracks
 from spotter_tools.cli.site_option import SiteFile, read_site
-from spotter_tools.cli.top_tables import COLUMNS, Row, columns, rows
 from spotter_tools.exports import geojson, kitti, openlabel
 from spotter_tools.exports.tables import write_csv, write_parquet
 

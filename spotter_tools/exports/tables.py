@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from spotter_tools.cli.export_tables import Row
 from spotter_tools.cli.fail import needs_extra
-from spotter_tools.cli.top_tables import Row
 
 PARQUET_ROWS = 50_000  # rows a group: what is kept in memory
 BOOLEANS = {

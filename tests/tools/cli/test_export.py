@@ -15,7 +15,7 @@ from mcap.writer import Writer
 from typer.testing import CliRunner
 
 from spotter_tools.cli.__main__ import app
-from spotter_tools.cli.top_tables import COLUMNS, HEADER, columns
+from spotter_tools.cli.export_tables import COLUMNS, HEADER, columns
 
 runner = CliRunner()
 
