@@ -117,9 +117,7 @@ class Switchover:
             back = self.taps.live.wait(lambda heard: heard[-1].arrived_s > begun_s, START_BUDGET_S, lambda: False)
             reasons.append("the old service runs again" if back else f"the old service does not come back; see {log}")
         else:
-            reasons.append(
-                "the old service could not be started again and no process replaces it: start it yourself"
-            )
+            reasons.append("the old service could not be started again and no process replaces it: start it yourself")
         return Outcome(
             promoted=False,
             reasons=tuple(reasons),
