@@ -63,7 +63,7 @@ def encode(message: Message) -> bytes:
 
 
 def encode_for_readers(message: M) -> tuple[bytes, str]:
-    """As ``encode``, checked as its readers will check it: the payload, and what had to be mended, empty for nothing.
+    """As ``encode``, checked as its readers will check it: the payload, and the error that was mended, empty if none.
 
     Raises:
         EncodeError: the readers would refuse it, and ``common.mend`` cannot bring it into its bounds.
@@ -73,13 +73,13 @@ def encode_for_readers(message: M) -> tuple[bytes, str]:
         decode(payload, type(message))
         return payload, ""
     except DecodeError as error:
-        complaint = str(error)
+        error_text = str(error)
     mended = _ENCODER.encode(mend(msgspec.msgpack.decode(payload), _decoder(type(message)).type))
     try:
         decode(mended, type(message))
     except DecodeError as error:
         raise EncodeError(str(error)) from None
-    return mended, complaint
+    return mended, error_text
 
 
 def decode(payload: bytes, message_type: type[M], max_bytes: int = MAX_PAYLOAD_BYTES) -> M:

@@ -67,8 +67,8 @@ def _inside(kind: Any, part: str) -> list[Any]:
     return [one for type_ in found for one in getattr(type_, "types", (type_,))]
 
 
-def _named(parts: list[str], document: Document, config_type: type[msgspec.Struct], complaint: str) -> list[str]:
-    """The path with the names of the user's choice filled in: of those whose entry alone brings the same complaint."""
+def _named(parts: list[str], document: Document, config_type: type[msgspec.Struct], error_text: str) -> list[str]:
+    """The path with the names of the user's choice filled in: of the entry that alone gives the same error."""
     while _ANY_NAME in parts:
         place = parts[: parts.index(_ANY_NAME)]
         table: Any = document
@@ -76,7 +76,7 @@ def _named(parts: list[str], document: Document, config_type: type[msgspec.Struc
             table = table[part]
         for name in table:
             reduced = _only(document, [*place, name])
-            if _complaint(reduced, config_type) == complaint:
+            if _error_text(reduced, config_type) == error_text:
                 parts, document = [*place, name, *parts[len(place) + 1 :]], reduced
                 break
         else:
@@ -92,7 +92,7 @@ def _only(document: Document, place: list[str]) -> Document:
     return {**document, first: _only(document[first], rest)}
 
 
-def _complaint(document: Document, config_type: type[msgspec.Struct]) -> str:
+def _error_text(document: Document, config_type: type[msgspec.Struct]) -> str:
     try:
         msgspec.convert(document, config_type)
     except msgspec.ValidationError as error:

@@ -1,4 +1,4 @@
-"""Just enough of the Chrome DevTools Protocol: open a page, run a script, press a key, take a picture, hear complaints.
+"""Just enough of the Chrome DevTools Protocol: open a page, run a script, press a key, take a picture, read errors.
 
 Used by the dashboard's tests and by ``docs/screenshots.py``; needs a Chromium on the machine and ``websockets``.
 """
@@ -26,7 +26,7 @@ FLAGS = (
 
 
 class Browser:
-    """One headless page. ``complaints`` are errors on its console, ``requests`` everything that it asked for."""
+    """One headless page. ``errors``: on its console, ``requests`` everything that it asked for."""
 
     def __init__(self, profile: Path) -> None:
         assert CHROMIUM is not None
@@ -48,7 +48,7 @@ class Browser:
         self._until(page_is_there)
         self._socket = open_socket(targets[0]["webSocketDebuggerUrl"], max_size=None, legacy=True, ping_interval=None)
         self._next_id = 0
-        self.complaints: list[str] = []
+        self.errors: list[str] = []
         self.requests: list[str] = []
         for domain in ("Page", "Runtime", "Log", "Network"):
             self._call(f"{domain}.enable")
@@ -110,11 +110,11 @@ class Browser:
     def _hear(self, event: dict[str, Any]) -> None:
         method, params = event.get("method"), event.get("params", {})
         if method == "Runtime.exceptionThrown":
-            self.complaints.append(json.dumps(params["exceptionDetails"])[:500])
+            self.errors.append(json.dumps(params["exceptionDetails"])[:500])
         elif method == "Log.entryAdded" and params["entry"]["level"] == "error":
-            self.complaints.append(f"{params['entry']['text']} {params['entry'].get('url', '')}")
+            self.errors.append(f"{params['entry']['text']} {params['entry'].get('url', '')}")
         elif method == "Runtime.consoleAPICalled" and params["type"] in ("error", "warning"):
-            self.complaints.append(json.dumps(params["args"])[:500])
+            self.errors.append(json.dumps(params["args"])[:500])
         elif method == "Network.requestWillBeSent":
             self.requests.append(params["request"]["url"])
 

@@ -49,7 +49,7 @@ SITUATIONS = {
     "ctrl_c": "Ctrl-C",
 }
 CTRL_C = "ctrl_c"
-QUIET = "ends without a word of complaint"
+QUIET = "ends without an error message"
 SHOWN = {
     " --connect {void}": "",
     " --connect {quiet}": "",

@@ -82,7 +82,7 @@ class _OfSite:
     def __init__(self, host: str, site_file: Path | None) -> None:
         self._host = host
         self._site_file = site_file.absolute() if site_file else None  # zenohd reads the paths from another folder
-        self._complaint = ""
+        self._error_text = ""
         self.config, self._watch = self._read()
         self._links: LinkWatch | None = None
 
@@ -104,9 +104,9 @@ class _OfSite:
                 return False
             self._read()
         except ConfigError as error:
-            if str(error) != self._complaint:
-                log.error("%s; until it is mended the old rules stay", error)
-                self._complaint = str(error)
+            if str(error) != self._error_text:
+                log.error("%s; until it is corrected the old rules stay", error)
+                self._error_text = str(error)
             return False
         log.warning("the names of the site have changed: starting again with new rules")
         return True

@@ -161,7 +161,7 @@ def test_a_missing_field_is_named(field: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "complaint"),
+    ("field", "value", "error_text"),
     [
         ("level", "DANGER", "Invalid enum value 'DANGER'"),
         ("stamp_ns", -1, ">= 0"),
@@ -172,9 +172,9 @@ def test_a_missing_field_is_named(field: str) -> None:
         ("tracks", {}, "Expected `array`"),
     ],
 )
-def test_ill_typed_and_unreal_values_are_refused(field: str, value: object, complaint: str) -> None:
+def test_ill_typed_and_unreal_values_are_refused(field: str, value: object, error_text: str) -> None:
     plain = msgpack.unpackb(encode(EXAMPLES[0])) | {field: value}
-    with pytest.raises(DecodeError, match=complaint):
+    with pytest.raises(DecodeError, match=error_text):
         decode(msgpack.packb(plain), m.RadarTracks)
 
 
@@ -186,7 +186,7 @@ def test_a_million_tracks_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("array", "complaint"),
+    ("array", "error_text"),
     [
         ({"dtype": "<f4", "shape": [5], "data": b"123"}, "needs 20 bytes, got 3"),
         ({"dtype": "O", "shape": [5], "data": b"123"}, "dtype 'O'"),
@@ -199,9 +199,9 @@ def test_a_million_tracks_are_refused() -> None:
         ([1.0, 2.0], "Expected `object`"),
     ],
 )
-def test_arrays_that_lie_are_refused(array: object, complaint: str) -> None:
+def test_arrays_that_lie_are_refused(array: object, error_text: str) -> None:
     plain = msgpack.unpackb(encode(EXAMPLES[2])) | {"ranges_m": array}
-    with pytest.raises(DecodeError, match=complaint):
+    with pytest.raises(DecodeError, match=error_text):
         decode(msgpack.packb(plain), m.LaserScan)
 
 

@@ -37,7 +37,7 @@ def test_a_file_that_is_not_there_is_named(keys: Path, part: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("part", "found", "complaint"),
+    ("part", "found", "error_text"),
     [
         ("ca_certificate", b"nonsense", "expected a certificate in PEM"),
         ("certificate", b"nonsense", "expected a certificate in PEM and the private key that belongs to it"),
@@ -45,14 +45,14 @@ def test_a_file_that_is_not_there_is_named(keys: Path, part: str) -> None:
         ("private_key", "jetson0.key", "expected a certificate in PEM and the private key that belongs to it"),
     ],
 )
-def test_a_file_that_is_something_else_is_named(keys: Path, part: str, found: bytes | str, complaint: str) -> None:
+def test_a_file_that_is_something_else_is_named(keys: Path, part: str, found: bytes | str, error_text: str) -> None:
     config = with_certificate(ZenohConfig(), keys, "pi0")
     path = Path(getattr(config, part))
     path.write_bytes(found if isinstance(found, bytes) else (keys / found).read_bytes())
     with pytest.raises(ConfigError) as refused:
         build(config)
     assert str(path) in str(refused.value)
-    assert str(refused.value).endswith(complaint)
+    assert str(refused.value).endswith(error_text)
 
 
 def test_a_router_does_not_blame_another_one_for_its_certificate(keys: Path, capsys: pytest.CaptureFixture) -> None:

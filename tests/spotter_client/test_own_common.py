@@ -48,8 +48,8 @@ def test_both_packages_are_usable(zenoh_config: ZenohConfig, notebook: Path, cel
         while process.poll() is None:
             publish(RadarTracks(stamp_ns=1, tracks=[], level="SAFE", settled=True, noise_floor_db=-60.0))
             radar.wake.wait(0.02)
-        said, complaint = process.communicate()
-    assert process.returncode == 0, complaint
+        said, error_text = process.communicate()
+    assert process.returncode == 0, error_text
     assert said.splitlines()[:2] == ["-60.0", "['radar']"]
 
 

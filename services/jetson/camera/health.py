@@ -59,7 +59,7 @@ def measure(grey: np.ndarray, previous: np.ndarray | None) -> Measures:
 
 @dataclass
 class _Condition:
-    """One complaint with its count: raised after ``raise_frames`` bad pictures, cleared after as many good ones."""
+    """One fault with its count: raised after ``raise_frames`` bad pictures, cleared after as many good ones."""
 
     name: str
     blind: bool
@@ -93,7 +93,7 @@ class ViewMonitor:
         self._slow = _Condition("too slow", False, raise_frames=slow)
 
     def update(self, stamp_ns: int, measures: Measures) -> ViewState:
-        """The state after this picture; the first complaint in the order above is the one that is told."""
+        """The state after this picture; of several faults the first in the order above is reported."""
         self._judge_frozen(stamp_ns, measures.difference)
         self._judge_below(self._dark, measures.brightness, self._config.dark_below, "mean brightness {:.0f}")
         self._judge_below(self._covered, measures.contrast, self._config.contrast_below, "contrast {:.2f}")

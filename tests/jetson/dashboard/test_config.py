@@ -41,7 +41,7 @@ def test_the_place_of_the_map_stands_in_the_file_as_a_comment(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("setting", "complaint"),
+    ("setting", "error_text"),
     [
         ("server.port=70000", "port"),
         ("server.max_clients=0", "max_clients"),
@@ -51,8 +51,8 @@ def test_the_place_of_the_map_stands_in_the_file_as_a_comment(tmp_path: Path) ->
         ("host=Jetson 0", "host"),
     ],
 )
-def test_a_wrong_value_is_refused_by_name(setting: str, complaint: str) -> None:
-    with pytest.raises(ConfigError, match=complaint):
+def test_a_wrong_value_is_refused_by_name(setting: str, error_text: str) -> None:
+    with pytest.raises(ConfigError, match=error_text):
         load(DashboardConfig, None, [setting])
 
 

@@ -32,11 +32,11 @@ def bar_says(colour: str, words: str) -> str:
 @pytest.mark.patient
 @pytest.mark.slow
 def test_each_fault_of_the_scenario_is_on_the_page(browser: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The row says it, the bar says it in its colour, nothing else is blamed, and the console has no complaint."""
+    """The row says it, the bar says it in its colour, nothing else is blamed, and the console has no errors."""
     monkeypatch.syspath_prepend(str(DOCS))
     screenshots = importlib.import_module("screenshots")
     assert [name for name, _, _ in screenshots.OF_FAULTS] == list(BARS)
-    browser.complaints.clear()
+    browser.errors.clear()
     with screenshots.demo("faults") as (_, url, _):
         browser.open(url)
         browser.wait(screenshots.ALL_THERE, screenshots.START_S)
@@ -45,4 +45,4 @@ def test_each_fault_of_the_scenario_is_on_the_page(browser: Any, monkeypatch: py
             browser.wait(" || ".join(f"({condition})" for condition in awaited.values()), screenshots.START_S)
             awaited = {name: condition for name, condition in awaited.items() if not browser.run(condition)}
         browser.wait(f"{screenshots.GREEN} && {screenshots.only()}", screenshots.START_S)
-    assert browser.complaints == []
+    assert browser.errors == []

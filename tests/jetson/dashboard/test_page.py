@@ -260,7 +260,7 @@ def test_it_fits_every_screen_and_can_be_read(
     browser: Any, fusion: Fusion, url: str, width: int, height: int, dark: bool
 ) -> None:
     fusion.level = "CAUTION"
-    browser.complaints.clear()
+    browser.errors.clear()
     browser.requests.clear()
     browser.open(url, width, height, dark)
     browser.wait(f"{text_of('level')} == 'CAUTION'")
@@ -269,7 +269,7 @@ def test_it_fits_every_screen_and_can_be_read(
     assert browser.run(CUT_OFF) == [], "part of a table is out of sight"
     assert violations(browser) == []
     assert all(asked.startswith((url, url.replace("http", "ws"))) for asked in browser.requests)
-    assert browser.complaints == []
+    assert browser.errors == []
     keep_picture(browser, f"page-{width}-{'dark' if dark else 'light'}")
 
 

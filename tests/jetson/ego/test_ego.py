@@ -47,7 +47,7 @@ def test_the_simulated_motion_is_that_of_the_world() -> None:
 
 
 @pytest.mark.parametrize(
-    ("source", "complaint"),
+    ("source", "error_text"),
     [
         ("", "no source: give one"),
         ("sim:nowhere", "no scenario 'nowhere'"),
@@ -60,8 +60,8 @@ def test_the_simulated_motion_is_that_of_the_world() -> None:
         ("sim:empty + imu:bno055", "stands alone"),
     ],
 )
-def test_a_wrong_source_is_refused_by_name(source: str, complaint: str) -> None:
-    with pytest.raises(ConfigError, match=complaint):
+def test_a_wrong_source_is_refused_by_name(source: str, error_text: str) -> None:
+    with pytest.raises(ConfigError, match=error_text):
         open_source(EgoConfig(source=source))
 
 

@@ -128,7 +128,7 @@ def test_signals_come_in_the_units_of_the_file(dbc: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "complaint"),
+    ("settings", "error_text"),
     [
         ({}, "name at least one signal"),
         ({"speed": "Motion.Warp"}, "no such signal in the DBC file; there are: Motion.WheelSpeed"),
@@ -136,8 +136,8 @@ def test_signals_come_in_the_units_of_the_file(dbc: str) -> None:
         ({"speed": "Motion.Odd"}, "unit as 'furlongs'; allowed: m/s, km/h"),
     ],
 )
-def test_wrong_signals_are_refused(dbc: str, settings: dict[str, str], complaint: str) -> None:
-    with pytest.raises(ConfigError, match=complaint):
+def test_wrong_signals_are_refused(dbc: str, settings: dict[str, str], error_text: str) -> None:
+    with pytest.raises(ConfigError, match=error_text):
         CanSignals(CanConfig(dbc=dbc, **settings))
 
 

@@ -33,7 +33,7 @@ def test_the_file_lists_every_key() -> None:
 
 
 @pytest.mark.parametrize(
-    ("setting", "complaint"),
+    ("setting", "error_text"),
     [
         ("rules.suppression=sometimes", "suppression"),
         ("rules.hold_s=-1", "hold_s"),
@@ -43,8 +43,8 @@ def test_the_file_lists_every_key() -> None:
         ("roadside.pose=1", "no such key"),
     ],
 )
-def test_a_wrong_value_is_refused_by_name(setting: str, complaint: str) -> None:
-    with pytest.raises(ConfigError, match=complaint):
+def test_a_wrong_value_is_refused_by_name(setting: str, error_text: str) -> None:
+    with pytest.raises(ConfigError, match=error_text):
         load(FusionConfig, None, [setting])
 
 

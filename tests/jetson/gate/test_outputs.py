@@ -225,7 +225,7 @@ def test_brakes_refuse_nonsense() -> None:
 
 
 @pytest.mark.parametrize(
-    ("url", "complaint"),
+    ("url", "error_text"),
     [
         ("bell:", "expected one of can:, gpio:, serial:, sim:"),
         ("gpio:/dev/gpiochip0", "expected the number of the line"),
@@ -236,8 +236,8 @@ def test_brakes_refuse_nonsense() -> None:
         ("can:can0?id=4096", "expected 0 to 2047"),
     ],
 )
-def test_wrong_outputs_are_refused(url: str, complaint: str) -> None:
-    with pytest.raises(ConfigError, match=complaint):
+def test_wrong_outputs_are_refused(url: str, error_text: str) -> None:
+    with pytest.raises(ConfigError, match=error_text):
         output_of(url)
 
 

@@ -71,7 +71,7 @@ def test_the_file_loads_and_equals_the_defaults() -> None:
 
 
 @pytest.mark.parametrize(
-    ("setting", "complaint"),
+    ("setting", "error_text"),
     [
         ("speed.slow_mps=9", r"\[speed\] slow_mps = 9.0: expected at most go_mps"),
         ("period_s=0.05", "pass"),
@@ -79,11 +79,11 @@ def test_the_file_loads_and_equals_the_defaults() -> None:
         ("limits.overrun_s=0.03", "two periods"),
     ],
 )
-def test_contradictory_settings_are_refused(setting: str, complaint: str) -> None:
-    if complaint == "pass":
+def test_contradictory_settings_are_refused(setting: str, error_text: str) -> None:
+    if error_text == "pass":
         load(GateConfig, None, [setting])
         return
-    with pytest.raises(ConfigError, match=complaint):
+    with pytest.raises(ConfigError, match=error_text):
         load(GateConfig, None, [setting])
 
 

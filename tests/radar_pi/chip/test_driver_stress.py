@@ -72,7 +72,7 @@ def test_random_faults_never_damage_a_frame_and_never_stop_the_stream(events, la
             if clock.now_s > START_S + LENGTH_S + 1.2:
                 break
             clock.sleep(slow.get(number, 0.0))
-    assert not frame.note  # every fault is over, and so is every complaint
+    assert not frame.note  # every fault is over, and so is every note
     assert epoch - 1 <= sum(n for name, n in report.snapshot().counters.items() if name != "lost_words")
 
 

@@ -98,16 +98,16 @@ def test_a_network_that_is_away_and_a_message_that_cannot_be_read_do_not_end_it(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "site", "complaint"),
+    ("arguments", "site", "error_text"),
     [
         (["--to", "127.0.0.1:1"], "", "where the map lies is not known: give [map]"),
         (["--to", "nowhere"], SITE, "--to nowhere: expected HOST:PORT"),
         (["--to", "radio:70000"], SITE, "--to radio:70000: expected HOST:PORT"),
     ],
 )
-def test_what_cannot_be_sent_is_said(arguments: list[str], site: str, complaint: str, tmp_path: Path) -> None:
+def test_what_cannot_be_sent_is_said(arguments: list[str], site: str, error_text: str, tmp_path: Path) -> None:
     (tmp_path / "site.toml").write_text(site)
     command = ["cpm", *arguments, "--station-id", "1", "--site", str(tmp_path / "site.toml")]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 2
-    assert complaint in result.output
+    assert error_text in result.output

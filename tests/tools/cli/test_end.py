@@ -80,6 +80,6 @@ def test_an_interrupt_while_it_is_still_being_loaded_is_quiet(words: list[str], 
         while loaded not in maps.read_text():
             assert process.poll() is None
         process.send_signal(signal.SIGINT)
-        said, complaint = process.communicate(timeout=30)
+        said, error_text = process.communicate(timeout=30)
     assert process.returncode == code
-    assert (said, complaint) == ("", "")
+    assert (said, error_text) == ("", "")

@@ -59,7 +59,7 @@ def test_one_table_has_only_its_own_columns(recording: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "complaint"),
+    ("arguments", "error_text"),
     [
         (["missing.mcap", "out.csv"], "no such file"),
         (["IT", "out.xlsx"], "ends with .csv, .parquet or .geojson, or --as csv"),
@@ -68,13 +68,13 @@ def test_one_table_has_only_its_own_columns(recording: Path, tmp_path: Path) -> 
     ],
 )
 def test_what_cannot_be_done_is_said(
-    recording: Path, tmp_path: Path, arguments: list[str], complaint: str, monkeypatch: pytest.MonkeyPatch
+    recording: Path, tmp_path: Path, arguments: list[str], error_text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "taken.csv").write_text("precious")
     result = runner.invoke(app, ["export", *(str(recording) if text == "IT" else text for text in arguments)])
     assert result.exit_code == 2
-    assert complaint in result.output
+    assert error_text in result.output
     assert (tmp_path / "taken.csv").read_text() == "precious"
 
 

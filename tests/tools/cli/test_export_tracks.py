@@ -130,7 +130,7 @@ def test_kitti_results_are_read_again_by_the_reader_of_the_benchmark(recording: 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "complaint"),
+    ("arguments", "error_text"),
     [
         (["out.geojson"], "where the map lies is not known: give [map] latitude_deg"),
         (["out.txt"], "--as csv, parquet, geojson, openlabel, kitti"),
@@ -144,11 +144,11 @@ def test_kitti_results_are_read_again_by_the_reader_of_the_benchmark(recording: 
     ],
 )
 def test_what_cannot_be_done_is_said(
-    two_hosts: Path, tmp_path: Path, arguments: list[str], complaint: str, monkeypatch: pytest.MonkeyPatch
+    two_hosts: Path, tmp_path: Path, arguments: list[str], error_text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("SPOTTER_SITE", raising=False)
-    assert complaint in export(two_hosts, Path(arguments[0]), *arguments[1:], code=2)
+    assert error_text in export(two_hosts, Path(arguments[0]), *arguments[1:], code=2)
     assert not (tmp_path / arguments[0]).exists()
 
 

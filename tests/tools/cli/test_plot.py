@@ -156,14 +156,14 @@ def test_a_live_message_is_drawn(speaking: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("what", "complaint", "code"),
+    ("what", "error_text", "code"),
     [
         ("missing.mcap", "missing.mcap: no such file", 2),
         ("pi7/radar/tracks", "nobody publishes pi7/radar/tracks: no service is alive", 1),
     ],
 )
-def test_what_is_not_there_is_said(router_endpoint: str, tmp_path: Path, what: str, complaint: str, code: int) -> None:
+def test_what_is_not_there_is_said(router_endpoint: str, tmp_path: Path, what: str, error_text: str, code: int) -> None:
     command = ["plot", what, str(tmp_path / "out.png"), "--connect", router_endpoint, "--timeout", "0.1"]
     result = runner.invoke(app, command)
     assert result.exit_code == code
-    assert complaint in result.output
+    assert error_text in result.output

@@ -20,16 +20,16 @@ runner = CliRunner()
 
 
 @pytest.mark.parametrize(
-    ("arguments", "complaint"),
+    ("arguments", "error_text"),
     [
         (["--raw", "lidar,sonar"], "--raw sonar: no raw bytes of that; known: radar, lidar, camera, infra_lidar"),
         (["--only", "fusion/opinion"], "--only fusion/opinion: no such product; known: "),
     ],
 )
-def test_what_is_not_there_is_refused_with_what_there_is(tmp_path: Path, arguments: list[str], complaint: str) -> None:
+def test_what_is_not_there_is_refused_with_what_there_is(tmp_path: Path, arguments: list[str], error_text: str) -> None:
     result = runner.invoke(app, ["record", str(tmp_path / "drive"), *arguments])
     assert result.exit_code == 2
-    assert complaint in result.output
+    assert error_text in result.output
     assert not (tmp_path / "drive").exists()
 
 

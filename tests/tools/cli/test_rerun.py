@@ -122,13 +122,13 @@ def test_a_sentence_is_logged_when_it_changes(speakers: ModuleType) -> None:
     assert log.undecodable == 1
 
 
-@pytest.mark.parametrize(("arguments", "complaint"), [(["none.mcap"], "no such file"), (["--save", "it"], "already")])
+@pytest.mark.parametrize(("arguments", "error_text"), [(["none.mcap"], "no such file"), (["--save", "it"], "already")])
 @needs_rerun
 def test_what_cannot_be_done_is_said(
-    tmp_path: Path, arguments: list[str], complaint: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, arguments: list[str], error_text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "it").write_text("precious")
     result = runner.invoke(app, ["rerun", *arguments])
     assert result.exit_code == 2
-    assert complaint in result.output
+    assert error_text in result.output

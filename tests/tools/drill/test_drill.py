@@ -136,14 +136,14 @@ def test_a_plan_can_be_narrowed_and_a_wrong_one_is_refused(tmp_path: Path) -> No
     with pytest.raises(ConfigError, match="no drill matches"):
         load_plan(DEFAULT_FILE, "volcano")
     text = DEFAULT_FILE.read_text()
-    for wrong, complaint in (
+    for wrong, error_text in (
         (text.replace('service = "radar"', 'service = "radr"'), "no service 'radr'"),
         (text.replace("health_within_s", "helth_within_s"), "helth_within_s"),
         (text.replace('kind = "kill"', 'kind = "maim"'), "maim"),
     ):
         file = tmp_path / "plan.toml"
         file.write_text(wrong)
-        with pytest.raises(ConfigError, match=complaint):
+        with pytest.raises(ConfigError, match=error_text):
             load_plan(file)
 
 
