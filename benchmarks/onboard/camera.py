@@ -8,7 +8,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import cv2
 import msgspec
 import numpy as np
 
+from benchmarks.waiting import wait_for
 from common.bus.status import Report
 from common.clock import utc_ns
 from services.jetson.camera.config import CameraConfig, CaptureConfig, DetectorConfig, MountConfig
@@ -215,12 +216,6 @@ def reading(config: CameraConfig, report: Report, arrivals_s: list[float]) -> It
         reader.start()
         yield
     reader.join()
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    """Look every 2 ms until the condition holds."""
-    while not condition():
-        threading.Event().wait(0.002)
 
 
 if __name__ == "__main__":

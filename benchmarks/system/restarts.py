@@ -12,13 +12,13 @@ import random
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import zenoh
 
+from benchmarks.waiting import wait_for
 from common.bus.presence import Presence
 from common.bus.runtime import Service
 from common.bus.session import close_session, open_session
@@ -29,8 +29,6 @@ from spotter_tools.ports import free_port
 
 SERVICES = (("pi0", "radar"), ("jetson0", "lidar"), ("jetson0", "fusion"))
 LONGEST_PAUSE_S = 1.5  # between a restart that is over and the next one
-GIVE_UP_S = 60.0
-POLL_S = 0.01
 
 
 class Onlooker:
@@ -67,16 +65,16 @@ def restart_often(count: int, seed: int = 0) -> list[float]:
         session = open_session(bus)
         stack.callback(close_session, session)
         onlooker = Onlooker(session, {(one.host, one.name, one.instance) for one in services})
-        _until(onlooker.sees_all)
+        wait_for(onlooker.sees_all)
         for _ in range(count):
             pause.wait(dice.uniform(0.0, LONGEST_PAUSE_S))
             router.kill()
-            _until(onlooker.sees_nobody)
+            wait_for(onlooker.sees_nobody)
             pause.wait(dice.uniform(0.0, LONGEST_PAUSE_S))
             begun_s = monotonic_s()
             router = Router(endpoint)
             listening_s = monotonic_s() - begun_s
-            took_s.append(listening_s + _until(onlooker.sees_all))
+            took_s.append(listening_s + wait_for(onlooker.sees_all))
     return took_s
 
 
@@ -95,15 +93,6 @@ class Router:
         """SIGKILL: it says nothing to anybody."""
         self._process.kill()
         self._process.communicate()
-
-
-def _until(condition: Callable[[], bool]) -> float:
-    begun_s, pause = monotonic_s(), threading.Event()
-    while not condition():
-        if monotonic_s() - begun_s > GIVE_UP_S:
-            raise TimeoutError(f"not right {GIVE_UP_S:.0f} s after the router's start")
-        pause.wait(POLL_S)
-    return monotonic_s() - begun_s
 
 
 def main() -> None:
