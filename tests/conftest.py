@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import resource
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +18,7 @@ import zenoh
 from hypothesis import HealthCheck, settings
 
 from common.bus.session import build, close_session, open_session
+from common.bus.status import Report
 from common.config import ZenohConfig
 from common.host.site import HostConfig, ServicePlace, Site
 from common.security import authority
@@ -148,6 +151,28 @@ def _until(condition: Callable[[], object], what: str = "the condition", *, budg
 def until() -> Callable[..., None]:
     """``until(condition, what)`` polls until the condition is true and fails when the budget (60 s) is over."""
     return _until
+
+
+@pytest.fixture
+def spawn() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+    """``spawn("spotter-lidar", "--set", ...)`` starts a console script that ends with the test; its stdout is a pipe."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(script: str, *arguments: object) -> subprocess.Popen[bytes]:
+        command = [str(Path(sys.executable).with_name(script)), *map(str, arguments)]
+        started.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.terminate()
+        process.communicate(timeout=20)
+
+
+@pytest.fixture
+def report() -> Report:
+    """What a service would tell of itself."""
+    return Report("test")
 
 
 class Yard:

@@ -133,11 +133,6 @@ def numbered_chip(clock: ManualClock, signal: Numbered) -> EmulatedChip:
 
 
 @pytest.fixture
-def report() -> Report:
-    return Report("test")
-
-
-@pytest.fixture
 def frames(chip: EmulatedChip, clock: ManualClock, report: Report) -> Iterator[Iterator[RadarFrame]]:
     """What the driver makes of the file's chip."""
     with closing(Driver(chip, clock, DEFAULT, SPEED_HZ, report).frames()) as running:

@@ -1,14 +1,11 @@
-"""What the tests of recordings share: messages, files of them, a recorder that is fed, processes that end."""
+"""What the tests of recordings share: messages, files of them, a recorder that is fed."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -98,19 +95,3 @@ def run_recorder() -> Callable[[Recorder, Callable[[], object], int], None]:
             raise failures[0]
 
     return run
-
-
-@pytest.fixture
-def spawn() -> Iterator[Callable[..., Any]]:
-    """``spawn("spotter-lidar", "--set", ...)`` starts a console script; what it prints can be read."""
-    started: list[subprocess.Popen[bytes]] = []
-
-    def start(script: str, *arguments: object) -> subprocess.Popen[bytes]:
-        command = [str(Path(sys.executable).with_name(script)), *map(str, arguments)]
-        started.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL))
-        return started[-1]
-
-    yield start
-    for process in started:
-        process.terminate()
-        process.communicate(timeout=20)

@@ -7,7 +7,6 @@ import struct
 import numpy as np
 import pytest
 
-from common.bus.status import Report
 from common.clock import monotonic_s
 from common.config import ConfigError
 from services.infra_lidar.config import InfraLidarConfig
@@ -18,11 +17,6 @@ from services.infra_lidar.input.velodyne import Vls128Parser
 from tests.infra_lidar.made_packets import metadata
 
 CLOUD = np.arange(15, dtype=np.float32).reshape(3, 5)
-
-
-@pytest.fixture
-def report():
-    return Report("test")
 
 
 def _open(url, report):

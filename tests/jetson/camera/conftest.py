@@ -1,4 +1,4 @@
-"""What the camera's tests share: made-up networks in ONNX, a textured picture, a quiet report."""
+"""What the camera's tests share: made-up networks in ONNX, a textured picture."""
 
 from __future__ import annotations
 
@@ -10,15 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from common.bus.status import Report
 from tests.jetson.camera.onnx_writer import FLOAT, FLOAT16, Port, constant_network
 
 ModelMaker = Callable[..., Path]
-
-
-@pytest.fixture
-def report() -> Report:
-    return Report("test")
 
 
 @pytest.fixture

@@ -27,6 +27,7 @@ from common.config import ServiceConfig, ZenohConfig
 from common.messages import CompressedImage, Verdict
 
 pytestmark = [pytest.mark.system]
+Until = Callable[..., None]
 
 
 def get(url: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
@@ -35,13 +36,6 @@ def get(url: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
             return reply.status, dict(reply.headers), reply.read()
     except urllib.error.HTTPError as error:
         return error.code, dict(error.headers), error.read()
-
-
-def eventually(condition: Callable[[], Any], budget_s: float = 60.0) -> Any:
-    deadline_s = time.monotonic() + budget_s
-    while not (value := condition()):
-        assert time.monotonic() < deadline_s, "did not happen in time"
-    return value
 
 
 def verdict(stamp_ns: int = 1) -> Verdict:
@@ -121,19 +115,19 @@ def test_the_site_s_and_the_configured_names_are_served(
     assert get(dashboard.url, Host="jetson1")[0] == 421
 
 
-def test_pictures_are_made_only_while_somebody_looks(dashboard: Any, on_its_router: ZenohConfig) -> None:
+def test_pictures_are_made_only_while_somebody_looks(dashboard: Any, on_its_router: ZenohConfig, until: Until) -> None:
     with Service("camera", ServiceConfig(host="jetson0", zenoh=on_its_router)) as camera:
         publish = camera.publisher(topics.CAMERA_IMAGE)
         assert not publish.wanted
         with connect(f"ws://127.0.0.1:{dashboard.port}/ws") as client:
             client.send(json.dumps({"rate_hz": 10, "products": ["camera/image"]}))
-            eventually(lambda: publish.wanted)
+            until(lambda: publish.wanted)
             publish(CompressedImage(stamp_ns=1, format="jpeg", data=b"\xff\xd8\xff"))
-            eventually(lambda: get(f"{dashboard.url}/api/image/jetson0")[2] == b"\xff\xd8\xff")
-        eventually(lambda: not publish.wanted)
+            until(lambda: get(f"{dashboard.url}/api/image/jetson0")[2] == b"\xff\xd8\xff")
+        until(lambda: not publish.wanted)
 
 
-def test_a_client_that_does_not_read_delays_nobody(dashboard: Any, on_its_router: ZenohConfig) -> None:
+def test_a_client_that_does_not_read_delays_nobody(dashboard: Any, on_its_router: ZenohConfig, until: Until) -> None:
     stop = threading.Event()
     with Service("fusion", ServiceConfig(host="jetson0", zenoh=on_its_router)) as fusion:
         publish = fusion.publisher(topics.FUSION_VERDICT)
@@ -150,7 +144,7 @@ def test_a_client_that_does_not_read_delays_nobody(dashboard: Any, on_its_router
             with connect(f"ws://127.0.0.1:{dashboard.port}/ws") as lively:
                 lively.send('{"rate_hz": 20}')
                 ages_ms = []
-                eventually(lambda: "jetson0/fusion/verdict" in json.loads(lively.recv(timeout=5))["entries"])
+                until(lambda: "jetson0/fusion/verdict" in json.loads(lively.recv(timeout=5))["entries"])
                 for _ in range(40):
                     entries = json.loads(lively.recv(timeout=5))["entries"]
                     ages_ms.append(entries["jetson0/fusion/verdict"]["age_ms"])

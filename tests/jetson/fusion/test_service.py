@@ -173,12 +173,14 @@ def test_a_sensor_that_comes_back_is_online_again(
     presence.close()
 
 
-def test_fusion_without_a_router_says_that_it_is_isolated_and_comes_back(free_ports: Callable[[], int]) -> None:
+def test_fusion_without_a_router_says_that_it_is_isolated_and_comes_back(
+    free_ports: Callable[[], int], until: Callable[..., None]
+) -> None:
     endpoint = f"tcp/127.0.0.1:{free_ports()}"
     router_config = build(ZenohConfig(mode="router", connect=(), listen=(endpoint,), namespace=""))
     config = FusionConfig(zenoh=ZenohConfig(connect=(endpoint,)))
     told: list[SystemHealth] = []
-    changed, stop = threading.Event(), threading.Event()
+    stop = threading.Event()
 
     def run() -> None:
         pipeline = FusionPipeline(config)
@@ -189,25 +191,20 @@ def test_fusion_without_a_router_says_that_it_is_isolated_and_comes_back(free_po
                 _, health = pipeline.process(observation)
                 if health is not None:
                     told.append(health)
-                    changed.set()
 
-    def until(isolated: bool) -> None:
-        deadline_s = time.monotonic() + BUDGET_S
-        while not told or told[-1].summary.startswith("I AM ISOLATED") != isolated:
-            assert time.monotonic() < deadline_s
-            changed.wait(0.1)
-            changed.clear()
+    def isolated() -> bool:
+        return told[-1].summary.startswith("I AM ISOLATED")
 
     router = zenoh.open(router_config)
     thread = threading.Thread(target=run)
     thread.start()
     try:
-        until(isolated=False)
+        until(lambda: told and not isolated())
         router.close()
-        until(isolated=True)
+        until(isolated)
         assert {sensor.cause for sensor in told[-1].sensors.values()} == {"isolated"}
         router = zenoh.open(router_config)
-        until(isolated=False)
+        until(lambda: not isolated())
     finally:
         stop.set()
         thread.join(BUDGET_S)
