@@ -155,7 +155,7 @@ def until() -> Callable[..., None]:
 
 @pytest.fixture
 def spawn() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
-    """``spawn("spotter-lidar", "--set", ...)`` starts a console script that ends with the test; its stdout is a pipe."""
+    """``spawn("spotter-lidar", "--set", ...)`` starts a console script that ends with the test; stdout is a pipe."""
     started: list[subprocess.Popen[bytes]] = []
 
     def start(script: str, *arguments: object) -> subprocess.Popen[bytes]:
