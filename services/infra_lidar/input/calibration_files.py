@@ -167,6 +167,9 @@ def _heard_angles(url: SourceUrl) -> str:
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
             receiver.bind(("", port))
+            if "group" in url.params:
+                group = socket.inet_aton(url.params["group"]) + bytes(4)
+                receiver.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
             while (left_s := until_s - monotonic_s()) > 0.0:
                 receiver.settimeout(left_s)
                 packet, (address, *_) = receiver.recvfrom(65536)

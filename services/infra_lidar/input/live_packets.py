@@ -8,7 +8,7 @@ import struct
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from ipaddress import ip_address
+from ipaddress import IPv4Address
 
 from common.bus.status import Report
 from common.clock import monotonic_s, utc_ns
@@ -29,7 +29,7 @@ WAITING_FRAMES = 2  # older ones are dropped: a late frame is worth less than th
 def live_packets(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
     """``velodyne://:2368`` listens there; ``KIND://HOST`` first asks that sensor for what its packets do not say.
 
-    What the source says is checked here. The network is needed only when the first frame is asked for.
+    A sensor that sends to a multicast group: ``velodyne://GROUP:2368``, ``KIND://HOST?group=GROUP``. What the source says is checked here. The network is needed only when the first frame is asked for.
 
     Raises:
         ConfigError: no port, not a number, or a file that cannot be read. Asking for a frame: an address that cannot be
@@ -40,7 +40,7 @@ def live_packets(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
         host, _, port_text = url.target.rpartition(":")
         port, sensor = port_in(port_text, f"source {url}: PORT of velodyne://[ADDRESS]:PORT"), ""
     else:
-        host, port, sensor = "", url.port("port", kind.port), url.target
+        host, port, sensor = _group(url), url.port("port", kind.port), url.target
     named = named_metadata(url)
 
     def listen() -> Receiver:
@@ -48,6 +48,26 @@ def live_packets(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
         return Receiver(host, port, parser, report, url.params.get("from", "") or _address_of(sensor))
 
     return _revolutions(listen, report)
+
+
+def _group(url: SourceUrl) -> str:
+    """The multicast group that the source names, "" where it names none."""
+    group = url.params.get("group", "")
+    if group and not _is_group(group):
+        raise ConfigError(f"source {url}: group={group}: expected a multicast address, 224.0.0.0 to 239.255.255.255")
+    if _is_group(url.target):
+        raise ConfigError(
+            f"source {url}: {url.target} is a multicast group: {url.scheme}://SENSOR?group={url.target}, where SENSOR is "
+            f"the sensor's own address"
+        )
+    return group
+
+
+def _is_group(address: str) -> bool:
+    try:
+        return IPv4Address(address).is_multicast
+    except ValueError:
+        return False  # a name, or no address
 
 
 def _revolutions(listen: Callable[[], Receiver], report: Report) -> Iterator[tuple[int, Frame]]:
@@ -95,7 +115,7 @@ class Receiver:
         timeout = struct.pack("@ll", 0, 200_000)  # the kernel's: Python's asks it twice for every packet
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, timeout)
         try:
-            group = bool(host) and ip_address(host).is_multicast
+            group = _is_group(host)
             self._socket.bind(("" if group else host, port))
             if group:
                 self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(host) + bytes(4))

@@ -51,9 +51,9 @@ SCHEMES = {
     "file": ("rate", "loop", "cut", "metadata", "calibration", "firetimes", "columns", "from", "port", "topic"),
     "mcap": MCAP_PARAMETERS,
     "velodyne": ("cut", "from"),
-    "ouster": ("metadata", "port", "from"),
-    "hesai": ("calibration", "firetimes", "cut", "port", "from"),
-    "robosense": ("calibration", "difop", "cut", "port", "from"),
+    "ouster": ("metadata", "port", "from", "group"),
+    "hesai": ("calibration", "firetimes", "cut", "port", "from", "group"),
+    "robosense": ("calibration", "difop", "cut", "port", "from", "group"),
     "ros2": (*ROS2_PARAMETERS, "cut", "metadata", "calibration", "firetimes", "sensor"),
 }
 NOMINAL_PERIOD_S = 0.1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import threading
 from collections.abc import Callable
@@ -11,11 +12,13 @@ import pytest
 
 from common.bus.status import Report
 from common.config import ConfigError
+from common.source_url import parse_source
 from services.infra_lidar.input.captures import Datagram
-from services.infra_lidar.input.live_packets import Receiver
+from services.infra_lidar.input.live_packets import Receiver, live_packets
 from services.infra_lidar.input.ouster import OusterFormat
 from services.infra_lidar.input.senders import describe, listen, print_senders
 from services.infra_lidar.input.sensors import returns_of
+from services.infra_lidar.input.source import SCHEMES
 from services.infra_lidar.input.velodyne import Vls128Parser
 from tests.infra_lidar.hesai_packets import Packet as HesaiPacket
 from tests.infra_lidar.made_packets import vls_packet
@@ -146,6 +149,34 @@ def test_only_the_configured_sender_is_listened_to(until) -> None:  # type: igno
         until(lambda: report.snapshot().counters.get("packet of another sensor") == 130)
     finally:
         receiver.close()
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ("ouster://os?metadata=M&group=10.0.0.1", "group=10.0.0.1: expected a multicast address"),
+        ("hesai://239.1.2.3?calibration=C", "239.1.2.3 is a multicast group: hesai://SENSOR?group=239.1.2.3"),
+        ("robosense://239.1.2.3", "239.1.2.3 is a multicast group: robosense://SENSOR?group=239.1.2.3"),
+    ],
+)
+def test_what_is_no_group_and_what_is_no_sensor_is_refused(source: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        live_packets(parse_source(source, SCHEMES), Report("test"))
+
+
+def test_the_receiver_gets_the_group_of_the_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Opened(Exception):
+        """Instead of a socket."""
+
+    def opened(host: str, port: int, *_: object) -> None:
+        raise Opened(host, port)
+
+    monkeypatch.setattr("services.infra_lidar.input.live_packets.Receiver", opened)
+    (tmp_path / "os.json").write_text(metadata("LEGACY"), encoding="utf-8")
+    source = f"ouster://127.0.0.1?metadata={tmp_path / 'os.json'}&group=239.255.12.34"
+    with pytest.raises(Opened) as told:
+        next(live_packets(parse_source(source, SCHEMES), Report("test")))
+    assert told.value.args == ("239.255.12.34", 7502)
 
 
 def test_a_multicast_group_is_joined(until) -> None:  # type: ignore[no-untyped-def]
