@@ -69,7 +69,7 @@ class TopicReader:
         self._lock = threading.Lock()
 
     def __enter__(self) -> TopicReader:
-        self._session = open_session(self._config)
+        self._session = self._opened()
         self.graph = Graph(self._session, self.topic.domain)
         key = topic_key(self.topic.domain, self.topic.name)
         self._subscriber = self._session.declare_subscriber(key, self._take_in)
@@ -77,6 +77,16 @@ class TopicReader:
         node.announce("MS", self.topic.name, self.topic.type, SENSOR_DATA)
         self._node = node
         return self
+
+    def _opened(self) -> zenoh.Session:
+        """The session; until a router answers, the report says that it is waited for."""
+        router = ", ".join(self._config.connect) or "(no endpoint)"
+        while True:
+            try:
+                return open_session(self._config, give_up_after_s=SILENCE_S)
+            except ConnectionError:
+                why = f"ROS topic {self.topic.name}: no router answers at {router}; is the ROS machine's running?"
+                self._report.state("disconnected", why)
 
     def __exit__(self, *_: object) -> None:
         close_session(self._session)

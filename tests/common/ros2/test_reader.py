@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -181,3 +182,17 @@ def test_it_comes_back_when_the_router_has_been_away(free_ports: Callable[[], in
         until(lambda: publish(scan(0)) or reader.next(0.05) is not None, "messages come again")
         until(lambda: [one.full_node for one in reader.graph.publishers()] == ["/driver"])
     running.close()
+
+
+def test_a_router_that_is_away_is_named_and_waited_for(
+    free_ports: Callable[[], int], until: Callable[..., None]
+) -> None:
+    endpoint, report = f"tcp/127.0.0.1:{free_ports()}", Report("t")
+    reader = TopicReader(RosTopic("/scan", SCAN), ZenohConfig(namespace="", connect=(endpoint,)), report, "us")
+    opening = threading.Thread(target=reader.__enter__, daemon=True)
+    opening.start()
+    until(lambda: f"no router answers at {endpoint}" in report.snapshot().reason, "the reason names the router")
+    with zenoh.open(build_config(ZenohConfig(mode="router", connect=(), listen=(endpoint,), namespace=""))):
+        opening.join(10.0)
+        assert not opening.is_alive()
+        reader.__exit__()
