@@ -29,7 +29,8 @@ WAITING_FRAMES = 2  # older ones are dropped: a late frame is worth less than th
 def live_packets(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
     """``velodyne://:2368`` listens there; ``KIND://HOST`` first asks that sensor for what its packets do not say.
 
-    A sensor that sends to a multicast group: ``velodyne://GROUP:2368``, ``KIND://HOST?group=GROUP``. What the source says is checked here. The network is needed only when the first frame is asked for.
+    A sensor that sends to a multicast group: ``velodyne://GROUP:2368``, ``KIND://HOST?group=GROUP``. What the source
+    says is checked here. The network is needed only when the first frame is asked for.
 
     Raises:
         ConfigError: no port, not a number, or a file that cannot be read. Asking for a frame: an address that cannot be
@@ -57,8 +58,8 @@ def _group(url: SourceUrl) -> str:
         raise ConfigError(f"source {url}: group={group}: expected a multicast address, 224.0.0.0 to 239.255.255.255")
     if _is_group(url.target):
         raise ConfigError(
-            f"source {url}: {url.target} is a multicast group: {url.scheme}://SENSOR?group={url.target}, where SENSOR is "
-            f"the sensor's own address"
+            f"source {url}: {url.target} is a multicast group: {url.scheme}://SENSOR?group={url.target}, "
+            f"where SENSOR is the sensor's own address"
         )
     return group
 
