@@ -1,7 +1,7 @@
-"""``spotter-<service> look``: open the source as the service would, listen for a second, say what comes. No bus.
+"""``spotter-<service> look``: open the source as the service would, read for a second, print what comes. No bus.
 
-A service gives a generator that opens its own source: ``looks(config, seconds)``. ``collect`` runs a source that waits
-for its device in a thread and hands over what came in each period.
+A service provides a generator that opens its own source: ``looks(config, seconds)``. ``collect`` runs a source that
+waits for its device in a thread and yields the items of each period.
 """
 
 from __future__ import annotations
@@ -27,28 +27,28 @@ from common.source_url import source_kind
 C = TypeVar("C", bound=ServiceConfig)
 T = TypeVar("T")
 
-PATIENCE_S = 20.0  # for the first item: a camera opens, a world is built; a device that is lost is told before
-LOST_S = 1.5  # a source that says for this long that its device is away need not be waited for
+PATIENCE_S = 20.0  # for the first item, for example while a camera opens; a lost device is reported earlier
+LOST_S = 1.5  # stop waiting for a source that reports a lost device for this long
 POLL_S = 0.1
 
 
 class Look(msgspec.Struct, frozen=True, kw_only=True):
-    """What a sensor shows in one period."""
+    """The result for one period."""
 
-    sees: bool  # it speaks, and nothing is wrong with what it says
-    what: str  # figures for a person
-    do: str = ""  # what to do when it does not
+    sees: bool  # data came, and they are plausible
+    what: str  # figures for the user
+    do: str = ""  # advice if ``sees`` is false
 
 
-class Seen(NamedTuple, Generic[T]):
-    """What a source gave in one period, how often, and what it said of itself at the end of it."""
+class PeriodSamples(NamedTuple, Generic[T]):
+    """The items of a source in one period, their rate, and the source\'s status at its end."""
 
     items: list[T]
     rate_hz: float
     status: ServiceStatus
 
     def nothing(self, of: str) -> Look:
-        """The words for a period in which nothing came."""
+        """The result for a period without items; ``of`` names the missing item."""
         why = self.status.reason
         if why in ("", "starting"):
             why = f"no {of} came, and no error either"
@@ -63,11 +63,11 @@ class _End(NamedTuple):
 
 def collect(
     open_items: Callable[[Report], Iterable[T]], seconds: float, patience_s: float = PATIENCE_S
-) -> Iterator[Seen[T]]:
-    """One ``Seen`` after each period, for ever or until the source ends; the first begins with the first item.
+) -> Iterator[PeriodSamples[T]]:
+    """One ``PeriodSamples`` after each period, until the source ends; the first period begins with the first item.
 
     Raises:
-        Exception: what the source raises; ConfigError, OSError or ValueError where it was foreseen.
+        Exception: an error of the source; ConfigError, OSError or ValueError for the expected ones.
     """
     report, arrived = Report("look"), queue.Queue[tuple[float, T | _End]]()
 
@@ -76,7 +76,7 @@ def collect(
         try:
             for item in open_items(report):
                 arrived.put((monotonic_s(), item))
-        except Exception as raised:  # noqa: BLE001  raised again where the items are read: else it would look like silence
+        except Exception as raised:  # noqa: BLE001  raised again in the thread that reads the items
             error = raised
         arrived.put((monotonic_s(), _End(error)))
 
@@ -98,13 +98,13 @@ def collect(
             else:
                 items.append(item)
                 times_s.append(at_s)
-        yield Seen(items, _rate_hz(times_s), report.snapshot())
+        yield PeriodSamples(items, _rate_hz(times_s), report.snapshot())
         if ended:
             return
 
 
 def _await_first(arrived: queue.Queue[tuple[float, T | _End]], report: Report, patience_s: float) -> None:
-    """Until the first item is there, which stays there, or waiting is of no use."""
+    """Wait for the first item, without taking it, or until the time is over or the device is lost."""
     until_s, lost_s = monotonic_s() + patience_s, 0.0
     while arrived.empty() and monotonic_s() < until_s and lost_s < LOST_S:
         report.changed.wait(POLL_S)
@@ -113,28 +113,28 @@ def _await_first(arrived: queue.Queue[tuple[float, T | _End]], report: Report, p
 
 
 def _rate_hz(times_s: list[float]) -> float:
-    """From the first to the last of these moments, which may include the last one of the period before."""
+    """Mean rate of these times, which may include the last one of the period before."""
     return (len(times_s) - 1) / max(times_s[-1] - times_s[0], 1e-3) if len(times_s) > 1 else 0.0
 
 
 def add_look(app: typer.Typer, config_type: type[C], looks: Callable[[C, float], Iterator[Look]]) -> None:
-    """Give the command line of a service the subcommand ``look``."""
+    """Add the subcommand ``look`` to the command line of a service."""
 
     @app.command()
     def look(context: typer.Context, seconds: Seconds = 1.0, watch: Watch = False, as_json: AsJson = False) -> None:
-        """Open the source, listen, say what the sensor shows. Exit code 1 when it shows nothing."""
+        """Open the source, read it, print what the sensor measures. Exit code 1 when there is nothing."""
         config = load_config(config_type, *context.obj)
         show(config, looks(config, seconds), watch, as_json)
 
 
-Seconds = Annotated[float, typer.Option(min=0.1, max=60.0, help="How long to listen.")]
+Seconds = Annotated[float, typer.Option(min=0.1, max=60.0, help="How long to read the source.")]
 Watch = Annotated[bool, typer.Option("--watch", "-w", help="Go on until Ctrl-C: the bring-up screen.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a look.")]
 
 
 def show(config: ServiceConfig, looks: Iterator[Look], watch: bool, as_json: bool) -> NoReturn:
     """Write each look as a line, only the first without ``watch``, and end the process."""
-    logging.getLogger().addHandler(logging.NullHandler())  # the line below says it
+    logging.getLogger().addHandler(logging.NullHandler())  # the line printed below contains the error
     seen = False
     try:
         for one in looks:
@@ -164,7 +164,7 @@ def line_of(config: ServiceConfig, look: Look) -> str:
 
 
 def _end(code: int) -> NoReturn:
-    """At once: the thread that waits for a device has nothing to clear up."""
+    """Exit at once: the thread that waits for a device needs no cleanup."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from common.bus.look import AsJson, Look, Seconds, Seen, Watch, collect, show
+from common.bus.look import AsJson, Look, PeriodSamples, Seconds, Watch, collect, show
 from common.bus.service_app import load_config
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.input.models import KINDS, compile_decoder
@@ -33,7 +33,7 @@ def looks(config: InfraLidarConfig, seconds: float) -> Iterator[Look]:
         yield describe(seen, sensor) if seen.items else seen.nothing("complete revolution")
 
 
-def describe(seen: Seen[tuple[int, Frame]], sensor: str) -> Look:
+def describe(seen: PeriodSamples[tuple[int, Frame]], sensor: str) -> Look:
     """The figures of one period, with the returns of the newest revolution. Empty cells are not counted."""
     points, packets = seen.items[-1][1].points, len(seen.items[-1][1].packets)
     which = f"{sensor}, {packets} packets per revolution, " if sensor else ""

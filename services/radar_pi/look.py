@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from common.bus.look import Look, Seen, collect
+from common.bus.look import Look, PeriodSamples, collect
 from common.messages import RadarTracks
 from services.radar_pi.chip.driver import RadarFrame
 from services.radar_pi.chip.registers import CHIP_ID_BGT60TR13C
@@ -27,7 +27,7 @@ def looks(config: RadarConfig, seconds: float) -> Iterator[Look]:
         yield describe(seen, tracks[-1], through_driver) if tracks else seen.nothing("frame")
 
 
-def describe(seen: Seen[RadarFrame], newest: RadarTracks, through_driver: bool) -> Look:
+def describe(seen: PeriodSamples[RadarFrame], newest: RadarTracks, through_driver: bool) -> Look:
     """The figures of one period. The driver sends frames only of a chip whose id it has read and compared."""
     chip = f"chip id 0x{CHIP_ID_BGT60TR13C:06x} (BGT60TR13C), " if through_driver else ""
     nearest = min((track.range_m for track in newest.tracks), default=None)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from common.bus.look import Look, Seen
+from common.bus.look import Look, PeriodSamples
 from common.bus.status import Report
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.input.packets import Frame
@@ -42,7 +42,7 @@ def packet_of(steps: int) -> Returns:
     ],
 )
 def test_only_real_returns_are_counted(returns: Returns, words: str) -> None:
-    seen = describe(Seen([(0, Frame(returns, 0))], 10.0, Report("look").snapshot()), "")
+    seen = describe(PeriodSamples([(0, Frame(returns, 0))], 10.0, Report("look").snapshot()), "")
     assert seen.what.endswith(words)
     assert seen.sees == (" m" in words)
     assert ("is the window covered" in seen.do) == (not seen.sees)

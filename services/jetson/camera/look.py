@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import msgspec
 
-from common.bus.look import Look, Seen, collect
+from common.bus.look import Look, PeriodSamples, collect
 from common.bus.status import Report
 from common.messages import CameraDetections
 from services.jetson.camera.config import CameraConfig
@@ -37,7 +37,7 @@ def looks(config: CameraConfig, seconds: float) -> Iterator[Look]:
             yield seen.nothing("picture")
 
 
-def describe(config: CameraConfig, seen: Seen[Frame], newest: CameraDetections) -> Look:
+def describe(config: CameraConfig, seen: PeriodSamples[Frame], newest: CameraDetections) -> Look:
     """The figures of one period, with the newest picture's detections."""
     width_px, height_px = newest.image_size_px
     network = config.detector.model or "demo network"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from common.bus.look import Look, Seen, collect
+from common.bus.look import Look, PeriodSamples, collect
 from services.jetson.ego.config import EgoConfig
 from services.jetson.ego.pipeline import Motion
 from services.jetson.ego.source import open_source
@@ -20,7 +20,7 @@ def looks(config: EgoConfig, seconds: float) -> Iterator[Look]:
         yield describe(seen, seen.items[-1][1]) if seen.items else seen.nothing("motion")
 
 
-def describe(seen: Seen[tuple[int, Motion]], newest: Motion) -> Look:
+def describe(seen: PeriodSamples[tuple[int, Motion]], newest: Motion) -> Look:
     """The figures of one period; a device that says nothing is named by the source itself."""
     speed = "no speed" if newest.speed_mps is None else f"{newest.speed_mps:+.2f} m/s by {newest.speed_origin}"
     turn = "no yaw rate"

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from common.bus.look import Look, Seen, collect
+from common.bus.look import Look, PeriodSamples, collect
 from common.messages import LaserScan, LidarZones
 from services.jetson.lidar.config import LidarConfig
 from services.jetson.lidar.pipeline import LidarPipeline
@@ -25,7 +25,7 @@ def looks(config: LidarConfig, seconds: float) -> Iterator[Look]:
         yield describe(seen, zones) if zones else seen.nothing("complete turn")
 
 
-def describe(seen: Seen[tuple[int, LaserScan]], zones: list[tuple[LaserScan, LidarZones]]) -> Look:
+def describe(seen: PeriodSamples[tuple[int, LaserScan]], zones: list[tuple[LaserScan, LidarZones]]) -> Look:
     """The figures of one period, with the newest turn's nearest return."""
     scan, newest = zones[-1]
     back = scan.ranges_m > 0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from common.bus.look import Seen
+from common.bus.look import PeriodSamples
 from common.bus.status import Report
 from common.messages import CameraDetections
 from services.jetson.camera.config import CameraConfig
@@ -24,7 +24,7 @@ def test_a_slow_camera_is_told(report: Report, rate_hz: float, sees: bool) -> No
         stamp_ns=1, detections=[], brightness=90.0, level=None, image_size_px=(640, 480),
         provider="CPUExecutionProvider",
     )  # fmt: skip
-    seen: Seen[Frame] = Seen([], rate_hz, report.snapshot())
+    seen: PeriodSamples[Frame] = PeriodSamples([], rate_hz, report.snapshot())
     told = describe(CameraConfig(source="sim:crossing"), seen, newest)
     assert (told.sees, "too slow" in told.what, "more light" in told.do) == (sees, not sees, not sees)
 
