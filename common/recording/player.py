@@ -35,9 +35,9 @@ class Pace:
 
 
 class Player:
-    """Puts recorded messages as they came, with a token for every service that speaks in the recording.
+    """Publishes recorded messages unchanged, with a token for every service in the recording.
 
-    Where a clock was set, or the next recording begins much later, it goes on at once (see ``Elapsed``).
+    After a clock step, or a long pause to the next recording, it continues at once (see ``Elapsed``).
     """
 
     def __init__(self, session: zenoh.Session, paths: list[Path], pace: Pace) -> None:
@@ -48,18 +48,18 @@ class Player:
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
         self.played = 0
 
-    def run(self, stop: threading.Event, tell: Callable[[float], None] = lambda _: None) -> None:
-        """Play until the end, or again and again with ``loop``; ``tell`` gets seconds into the recording.
+    def run(self, stop: threading.Event, on_progress: Callable[[float], None] = lambda _: None) -> None:
+        """Play until the end, or again and again with ``loop``; ``on_progress`` gets the seconds into the recording.
 
-        A recording in which there is nothing to play ends at once, with ``loop`` too.
+        A recording without messages to play ends at once, also with ``loop``.
         """
         while not stop.is_set():
             played = self.played
-            self._play_once(stop, tell)
+            self._play_once(stop, on_progress)
             if not self._pace.loop or self.played == played:
                 return
 
-    def _play_once(self, stop: threading.Event, tell: Callable[[float], None]) -> None:
+    def _play_once(self, stop: threading.Event, on_progress: Callable[[float], None]) -> None:
         origin_ns: int | None = None
         started_s, started_ns = monotonic_s(), utc_ns()
         for at_ns, recorded in self._recorded():
@@ -69,7 +69,7 @@ class Player:
             if not self._wait(stop, started_s + due_ns / 1e9):
                 return
             self._put(recorded, started_ns + due_ns - recorded.log_ns if self._pace.shift else 0)
-            tell((at_ns - origin_ns) / 1e9 + self._pace.seek_s)
+            on_progress((at_ns - origin_ns) / 1e9 + self._pace.seek_s)
 
     def _recorded(self) -> Iterator[tuple[int, Recorded]]:
         """Each message with the ns at which it is due after the first one of all recordings."""

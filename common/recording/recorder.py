@@ -1,4 +1,4 @@
-"""From the bus into files: queueing, counting what was lost, rotation, disk guard."""
+"""Writes messages from the bus to files: queue, loss counter, rotation, disk guard."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ class RecorderStatus:
     undecodable: int = 0
     free_bytes: int = 0
     file: str = ""
-    from_services: int = 0  # of the messages, without the word of this and other recorders
+    from_services: int = 0  # of the messages, without the status of recorders
 
 
 class DiskFull(RuntimeError):
-    """There is no room, or none that may be used; the text says what is kept."""
+    """The disk is full or below the reserve; the text says what is recorded."""
 
 
 @dataclass(frozen=True)
@@ -104,8 +104,8 @@ class Recorder:
         for thread in self._threads:
             thread.join(STOP_LIMIT_S)
 
-    def run(self, stop: threading.Event, tell: Callable[[RecorderStatus], None] = lambda _: None) -> None:
-        """Write until ``stop`` is set.
+    def run(self, stop: threading.Event, on_status: Callable[[RecorderStatus], None] = lambda _: None) -> None:
+        """Write until ``stop`` is set; ``on_status`` is called about once a second.
 
         Raises:
             DiskFull: the disk guard stepped in and the file is complete, or the disk took no more and the text says
@@ -118,12 +118,12 @@ class Recorder:
             try:
                 file = self._new_file()
                 with file:
-                    self._fill(file, stop, tell)
+                    self._fill(file, stop, on_status)
             except OSError as error:
                 raise DiskFull(self._what_is_held(file, error)) from None
 
     def _what_is_held(self, file: RecordingFile | None, error: OSError) -> str:
-        """One line for a disk that takes no more: why, which file, and up to when it holds."""
+        """One line for a full disk: the reason, the file, and up to when it is complete."""
         if file is None:
             return f"{self._options.folder}: {error.strerror}; no new file could be begun"
         if not file.messages:
@@ -133,7 +133,7 @@ class Recorder:
         until = datetime.fromtimestamp(file.held_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
         return f"{file.path}: {error.strerror}; recording stopped, the file holds everything up to {until} UTC"
 
-    def _fill(self, file: RecordingFile, stop: threading.Event, tell: Callable[[RecorderStatus], None]) -> None:
+    def _fill(self, file: RecordingFile, stop: threading.Event, on_status: Callable[[RecorderStatus], None]) -> None:
         """One file, until it is full, old, or the recording ends."""
         opened_s = monotonic_s()
         sync = Periodic(SYNC_PERIOD_S, opened_s)
@@ -145,7 +145,7 @@ class Recorder:
                 continue
             self._note_status(file)
             file.sync()
-            tell(self.status)
+            on_status(self.status)
             self._guard_disk()
             if file.size_bytes > self._options.rotate_bytes or now_s - opened_s > self._options.rotate_s:
                 return
@@ -154,7 +154,7 @@ class Recorder:
         self._note_status(file)
 
     def _drain(self, file: RecordingFile, until_s: float) -> None:
-        """Write what comes until a moment, also when more comes than can be written: flush and stop must not wait."""
+        """Write messages until a given time, even under overload: flush and stop must not wait."""
         while (left_s := until_s - monotonic_s()) > 0:
             try:
                 arrival = self._queue.get(timeout=left_s)
@@ -200,7 +200,7 @@ class Recorder:
         self.status.dropped = sum(self._gaps.values()) + self._overflow
 
     def _note_status(self, file: RecordingFile) -> None:
-        """The drop counter inside the file: a reader can tell a quiet bus from a lossy recording."""
+        """The drop counter inside the file: it distinguishes a quiet bus from a lossy recording."""
         self.status.file = str(file.path)
         self.status.free_bytes = shutil.disk_usage(self._options.folder).free
         content = {
@@ -225,7 +225,7 @@ class Recorder:
         return file
 
     def _begin_file(self) -> RecordingFile:
-        """Under a name that is not there: another recorder may have begun one in this folder in the same second."""
+        """Open a file under an unused name: another recorder may have started one here in the same second."""
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
         while True:
             path = self._options.folder / f"spotter-{stamp}-{self._index:03d}.mcap"

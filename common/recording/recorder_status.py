@@ -1,7 +1,7 @@
-"""A recorder makes itself known on the bus like a service: the dashboard and `spotter top` show that it runs.
+"""A recorder\'s token and status on the bus, like those of a service, so that dashboard and `spotter top` show it.
 
-Where access rules are in force a laptop may say so under its certificate's name only, a host's own session under the
-host's. Zenoh does not report a refused put, so a second session subscribes to check that the status arrives.
+Where access rules are in force, a laptop may publish under its certificate's name only, a host's own session under the
+host's name. Zenoh does not report a refused put, so a second session subscribes to check that the status arrives.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ TRIES = 3  # statuses without an echo after which the rules are taken to refuse 
 
 
 class RecorderPresence:
-    """Token and status ``<host>/recorder/status``; ``tell`` publishes the recorder's numbers, about once a second."""
+    """Token and status ``<host>/recorder/status``; ``report`` publishes the recorder's numbers, about once a second."""
 
     def __init__(self, session: zenoh.Session, host: str, witness: zenoh.Session) -> None:
-        """``witness``: another session at the same router; a session always hears itself."""
+        """``witness``: another session at the same router; a session always receives its own messages."""
         instance = uuid.uuid4().hex[:8]
         self._session, self._key = session, status_topic(RECORDER).key(host)
         self._report, self._seq, self._lost = Report(instance), 0, 0
         self._token = session.liveliness().declare_token(token_key(host, RECORDER, instance))
         self._word = b""
         self._answers = session.declare_queryable(self._key, self._answer)
-        self._heard = threading.Event()
-        self._witness = witness.declare_subscriber(self._key, lambda _: self._heard.set())
+        self._echo = threading.Event()
+        self._witness = witness.declare_subscriber(self._key, lambda _: self._echo.set())
 
     @property
     def refused(self) -> bool:
         """Several statuses were sent, and the router forwarded none of them."""
-        return self._seq >= TRIES and not self._heard.is_set()
+        return self._seq >= TRIES and not self._echo.is_set()
 
-    def tell(self, status: RecorderStatus) -> None:
+    def report(self, status: RecorderStatus) -> None:
         """Publish what is being recorded; degraded once messages were lost."""
         self._report.dropped(status.dropped - self._lost)
         self._lost = status.dropped
@@ -67,14 +67,14 @@ class RecorderPresence:
         self._seq += 1
 
     def _answer(self, query: zenoh.Query) -> None:
-        """`spotter ls` asks; before the first second there is no status."""
+        """Answer `spotter ls`; before the first second there is no status."""
         with query:
             if self._word:
                 query.reply(self._key, self._word, encoding=encoding_of(ServiceStatus))
 
     @staticmethod
     def words(status: RecorderStatus) -> str:
-        """For a person: file, messages, megabytes, lost, and what is left of the disk."""
+        """For people: file, messages, megabytes, losses, free disk space."""
         return (
             f"{Path(status.file).name}: {status.messages} messages, {status.bytes / 1e6:.1f} MB, "
             f"{status.dropped} dropped, {status.free_bytes / 1e9:.0f} GB free"
@@ -82,5 +82,5 @@ class RecorderPresence:
 
 
 def this_machine() -> str:
-    """The machine's own name, fit for a key."""
+    """The machine's host name, as a valid part of a key."""
     return re.sub(r"[^a-z0-9_]", "_", socket.gethostname().lower()) or "laptop"

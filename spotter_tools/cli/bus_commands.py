@@ -174,7 +174,7 @@ def health(
         ]
         seen = _watch_health(inbox, watch, as_json)
         if not seen:
-            _tell_of_links(session)
+            _report_links(session)
             silent = why_silent(session, topics.FUSION_VERDICT.key(fusion_host))
             sys.stderr.write(f"spotter: {silent}\n" if silent else "")
         for subscriber in subscribers:
@@ -183,7 +183,7 @@ def health(
         raise SystemExit(1)
 
 
-def _tell_of_links(session: zenoh.Session) -> None:
+def _report_links(session: zenoh.Session) -> None:
     """Why there may be no verdict: what the router here says of the hosts that it cannot link."""
     for key, links in _answers(session, topics.links_key("*"), RouterLinks):
         for host, fault in links.faults.items():
@@ -197,25 +197,25 @@ def _offer(inbox: queue.Queue[tuple[str, bytes]], sample: zenoh.Sample) -> None:
         return  # the terminal is stuck; newer ones will come
 
 
-class _Heard:
-    """The newest verdict and health of one fusion, the first that is heard.
+class _Received:
+    """The newest verdict and health of one fusion: the first from which a message comes.
 
-    What cannot be read, and a further vehicle's fusion, are reported once.
+    Undecodable messages and the fusion of another vehicle are reported once.
     """
 
     def __init__(self) -> None:
         self.verdict: Verdict | None = None
         self.system: SystemHealth | None = None
         self.verdict_s = time.monotonic()
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._host = ""
 
     def take(self, key: str, payload: bytes) -> None:
-        """Take a message in; of another vehicle's fusion only the first is reported."""
+        """Process a message; the fusion of another vehicle is reported once."""
         host = key.partition("/")[0]
         self._host = self._host or host
         if host != self._host:
-            self._tell(host, f"{host} gives verdicts too; shown is {self._host}, --fusion-host chooses another")
+            self._report(host, f"{host} gives verdicts too; shown is {self._host}, --fusion-host chooses another")
             return
         try:
             if key.endswith("/verdict"):
@@ -223,15 +223,15 @@ class _Heard:
             else:
                 self.system = decode(payload, SystemHealth)
         except DecodeError as error:
-            self._tell(key, f"{key} cannot be read: {error}")
+            self._report(key, f"{key} cannot be read: {error}")
 
-    def _tell(self, what: str, text: str) -> None:
-        if what not in self._told:
-            self._told.add(what)
+    def _report(self, what: str, text: str) -> None:
+        if what not in self._reported:
+            self._reported.add(what)
             sys.stderr.write(f"spotter: {text}\n")
 
     def silent_s(self) -> float:
-        """Since the newest verdict, which is forgotten when it is too old."""
+        """Time since the newest verdict, which is dropped when it is too old."""
         silent_s = time.monotonic() - self.verdict_s
         if silent_s > NO_VERDICT_AFTER_S:
             self.verdict = None
@@ -240,21 +240,21 @@ class _Heard:
 
 def _watch_health(inbox: queue.Queue[tuple[str, bytes]], watch: bool, as_json: bool) -> bool:
     """Print blocks as they change; returns whether a verdict was seen last."""
-    heard, shown = _Heard(), ""
+    received, shown = _Received(), ""
     first_deadline_s = time.monotonic() + 2.0
     while True:
         with contextlib.suppress(queue.Empty):
-            heard.take(*inbox.get(timeout=0.05))
-        silent_s = heard.silent_s()
-        waiting = (heard.verdict is None or heard.system is None) and time.monotonic() < first_deadline_s
+            received.take(*inbox.get(timeout=0.05))
+        silent_s = received.silent_s()
+        waiting = (received.verdict is None or received.system is None) and time.monotonic() < first_deadline_s
         if waiting:
             continue
-        block = _block(heard.verdict, heard.system, silent_s, as_json)
+        block = _block(received.verdict, received.system, silent_s, as_json)
         if _without_ages(block) != shown:
             shown = _without_ages(block)
             print(block, flush=True)
         if not watch:
-            return heard.verdict is not None
+            return received.verdict is not None
 
 
 def _block(verdict: Verdict | None, system: SystemHealth | None, silent_s: float, as_json: bool) -> str:

@@ -145,7 +145,7 @@ def _fetch(session: zenoh.Session, host: str, name: str, folder: Path) -> Path:
         for part in range(100_000):
             data = _part(session, host, name, part)
             stream.write(data)
-            progress.tell(f"{host}: {stream.tell() / 1e6:.0f} MB")
+            progress.show(f"{host}: {stream.tell() / 1e6:.0f} MB")
             if len(data) < PART_BYTES:
                 progress.close()
                 return path

@@ -95,7 +95,7 @@ def _plot_recording(file: Path, out: Path, start_s: float, end_s: float) -> None
             break
         progress.share(done, of, f"{at_s:.0f} s")
         try:
-            story.tell(at_s - start_s, decode(recorded.payload, topic.message, topic.max_bytes))
+            story.add(at_s - start_s, decode(recorded.payload, topic.message, topic.max_bytes))
         except DecodeError:
             continue
     progress.close()

@@ -1,4 +1,4 @@
-"""How far a long command is: one line on a terminal that overwrites itself, nothing into a file or a pipe."""
+"""Progress of a long command: a line on a terminal that is overwritten; nothing into a file or a pipe."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PERIOD_S = 0.2
 
 
 class Progress:
-    """``tell`` may be called at any rate: the line is refreshed five times a second."""
+    """``show`` may be called at any rate: the line is refreshed five times a second."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream or sys.stderr
@@ -20,18 +20,18 @@ class Progress:
         self._refresh = Periodic(PERIOD_S)
         self._width = 0
 
-    def tell(self, text: str) -> None:
-        """Show a line, when the last one is old enough."""
+    def show(self, text: str) -> None:
+        """Show a line, unless the last one is too recent."""
         if self._shown and self._refresh.due(monotonic_s()):
             self._write(text)
 
     def share(self, done: float, of: float, words: str = "") -> None:
         """A bar for work whose size is known; only the words (or what is done) where it is not: ``of`` 0."""
         if of <= 0:
-            self.tell(words or f"{done:.0f}")
+            self.show(words or f"{done:.0f}")
             return
         part = min(max(done / of, 0.0), 1.0)
-        self.tell(f"[{'#' * round(30 * part):<30}] {part:4.0%}  {words}")
+        self.show(f"[{'#' * round(30 * part):<30}] {part:4.0%}  {words}")
 
     def close(self) -> None:
         """Wipe the line."""

@@ -85,7 +85,7 @@ def record(
         recorder = Recorder(session, chosen, options, _metadata(session, namespace))
         watch = _Watch(RecorderPresence(session, name, witness), name, seconds, stop)
         try:
-            recorder.run(stop, watch.tell)
+            recorder.run(stop, watch.report)
         except DiskFull as error:
             watch.failed = str(error)
             fail(str(error))
@@ -99,24 +99,24 @@ def record(
 
 
 class _Watch:
-    """Tells page and terminal how the recording goes, and ends it after ``seconds`` (0: never)."""
+    """Shows the progress on dashboard and terminal, and ends the recording after ``seconds`` (0: never)."""
 
     def __init__(self, presence: RecorderPresence, name: str, seconds: float, stop: threading.Event) -> None:
         self.words = presence.words
-        self.failed = ""  # why it has ended, if nobody wanted it to
+        self.failed = ""  # why it has ended, if it was not stopped by the user
         self._presence, self._name = presence, name
         self._seconds, self._stop = seconds, stop
         self._started_s, self._progress = monotonic_s(), Progress()
-        self._refusal_told = False
+        self._refusal_reported = False
 
-    def tell(self, status: RecorderStatus) -> None:
-        """Show how far the recording is."""
+    def report(self, status: RecorderStatus) -> None:
+        """Show the progress of the recording."""
         into_s = monotonic_s() - self._started_s
         if self._seconds and into_s >= self._seconds:
             self._stop.set()
-        self._presence.tell(status)
-        if self._presence.refused and not self._refusal_told:
-            self._refusal_told = True
+        self._presence.report(status)
+        if self._presence.refused and not self._refusal_reported:
+            self._refusal_reported = True
             sys.stderr.write(f"  {NOT_SHOWN.format(name=self._name)}\n")
         self._progress.share(into_s, self._seconds, f"{into_s:.0f} s  {self.words(status)}")
 

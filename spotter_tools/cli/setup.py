@@ -72,7 +72,7 @@ def setup(
     if as_json:
         print(json.dumps({"file": str(site_file), "sources": chosen, "missing": missing}))
     else:
-        _tell_next(host, site_file, missing, open_mode)
+        _print_next_steps(host, site_file, missing, open_mode)
     raise SystemExit(1 if missing else 0)
 
 
@@ -159,7 +159,7 @@ def _write(file: Path, text: str) -> None:
     _say(f"\n{file}:\n" + "".join(f"  {line}\n" for line in text.splitlines()))
 
 
-def _tell_next(host: str, file: Path, missing: list[str], open_mode: bool) -> None:
+def _print_next_steps(host: str, file: Path, missing: list[str], open_mode: bool) -> None:
     for name in missing:
         _say(f"{name} has no source, so {host} will not start: plug it in and run this again; see docs/bring-up.md")
     keys = "" if open_mode else f"  spotter keys init --site {file} && spotter keys all --site {file}\n"

@@ -43,8 +43,8 @@ class Story:
     trails_m: dict[int, list[tuple[float, float]]] = field(default_factory=dict)
     length_s: float = 0.0
 
-    def tell(self, at_s: float, message: m.Message) -> None:
-        """Take one message; later ones later."""
+    def add(self, at_s: float, message: m.Message) -> None:
+        """Add one message, in the order of time."""
         self.length_s = max(self.length_s, at_s)
         if isinstance(message, m.Verdict):
             _extend(self.verdicts, at_s, message.level, message.because, GAP_S)

@@ -37,7 +37,7 @@ class ScanDecoder:
         for scan in scans:
             scan.received_ns = arrival_ns
         if scans:
-            self._tell_counts()
+            self._report_counts()
         self._watch(now_s, bool(packets), bool(data))
         return scans
 
@@ -50,7 +50,7 @@ class ScanDecoder:
         """How many bytes complete the next packet: what a reader may wait for at once."""
         return PACKET_BYTES - self.parser.pending
 
-    def _tell_counts(self) -> None:
+    def _report_counts(self) -> None:
         counts = {**self.parser.counters, **self.assembler.counters}
         for name, count in counts.items():
             new = count - self._told.get(name, 0)
@@ -67,7 +67,7 @@ class ScanDecoder:
         if now_s - self._last_packet_s < patience_s:
             return
         if now_s - self._last_byte_s < patience_s:
-            self._tell_counts()
+            self._report_counts()
             why = self._without_packets()
         else:
             why = "connected but silent: is the motor turning, and are 5 V and the data line connected?"

@@ -205,9 +205,9 @@ def test_a_running_recorder_is_shown_with_its_file_until_it_ends(
     with open_session(config) as session, open_session(config) as witness:
         presence = RecorderPresence(session, "laptop1", witness)
         status = RecorderStatus(messages=1200, bytes=34_000_000, dropped=0, free_bytes=70 * 10**9, file="x/drive.mcap")
-        presence.tell(status)
+        presence.report(status)
         browser.wait(f"{text_of('recording')}.includes('Recording on laptop1: drive.mcap: 1200 messages, 34.0 MB')")
-        presence.tell(replace(status, dropped=3))
+        presence.report(replace(status, dropped=3))
         browser.wait(f"{text_of('recording')}.includes('3 dropped')")
         assert "laptop1/recorder" in browser.run(text_of("services"))
         presence.end(status)

@@ -127,10 +127,10 @@ def test_the_story_is_told_in_spans_with_causes(speakers: ModuleType) -> None:
     story = Story()
     for tick in range(30):
         level = "SAFE" if tick < 10 else "CAUTION"
-        story.tell(tick / 10, speakers.verdict(1 + tick, level))
-        story.tell(tick / 10, speakers.health(1 + tick, "degraded" if tick >= 20 else "online"))
-        story.tell(tick / 10, speakers.radar(1 + tick, 9.0 - tick / 10))
-    story.tell(9.0, speakers.verdict(99, "CAUTION"))
+        story.add(tick / 10, speakers.verdict(1 + tick, level))
+        story.add(tick / 10, speakers.health(1 + tick, "degraded" if tick >= 20 else "online"))
+        story.add(tick / 10, speakers.radar(1 + tick, 9.0 - tick / 10))
+    story.add(9.0, speakers.verdict(99, "CAUTION"))
     assert [(span.start_s, span.end_s, span.what) for span in story.verdicts] == [
         (0.0, 1.0, "SAFE"), (1.0, 2.9, "CAUTION"), (9.0, 9.0, "CAUTION"),
     ]  # fmt: skip
@@ -144,7 +144,7 @@ def test_the_story_is_told_in_spans_with_causes(speakers: ModuleType) -> None:
 def test_an_empty_radar_leaves_a_gap(speakers: ModuleType) -> None:
     story, empty = Story(), speakers.radar(1)
     empty.tracks.clear()
-    story.tell(0.0, empty)
+    story.add(0.0, empty)
     assert math.isnan(story.ranges_m["radar"][0][1])
 
 
