@@ -1,4 +1,4 @@
-"""Which namespace a tool looks into when nobody says: the site's, or the demo's where only a demo runs."""
+"""The default namespace of a tool: the site's, or the demo's if only a demo runs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from common.bus.session import close_session, open_session
 from common.config import ZenohConfig
 
 SITE = "spotter"  # the default of site.toml
-DEMO = "demo"  # a demo publishes below a name of its own, so that its data never stand below a site's keys
+DEMO = "demo"  # a demo has its own namespace, so that its data are never under a site's keys
 ANSWER_S = 1.0
 
 

@@ -54,7 +54,7 @@ class Presence:
             return {i for i in self._alive if host in (None, i[0]) and service in (None, i[1])}
 
     def close(self) -> None:
-        """Stop listening."""
+        """End the subscription."""
         undeclare(self._subscriber)
 
     def _receive(self) -> None:
@@ -63,7 +63,7 @@ class Presence:
                 try:
                     instance = parse_token(str(sample.key_expr))
                 except ValueError:
-                    continue  # somebody else's token
+                    continue  # not a token of ours
                 with self._lock:
                     if sample.kind == zenoh.SampleKind.PUT:
                         self._alive.add(instance)

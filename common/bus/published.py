@@ -12,7 +12,7 @@ QUERY_TIMEOUT_S = 1.0
 
 
 def why_silent(session: zenoh.Session, key: str) -> str | None:
-    """One sentence when no living service publishes ``key``; None when one does, and has just nothing to say."""
+    """One sentence when no living service publishes ``key``; None when one does, and just has no data."""
     keys = published_keys(session)
     wanted = zenoh.KeyExpr(key)
     if any(wanted.intersects(known) for known in keys):

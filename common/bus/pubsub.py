@@ -74,7 +74,7 @@ class Publisher:
     @property
     def has_subscribers(self) -> bool:
         """True while a subscriber matches."""
-        status: Any = self._out[0].matching_status  # an object that is always true, whatever its stub says
+        status: Any = self._out[0].matching_status  # the object itself is always true, unlike what its stub says
         return bool(status.matching)
 
     def __call__(self, message: Message) -> None:
@@ -155,7 +155,7 @@ class Latest(Generic[M]):
         return taken
 
     def close(self) -> None:
-        """Stop listening."""
+        """End the subscription."""
         undeclare(self._subscriber)
 
     def _receive(self) -> None:

@@ -1,6 +1,6 @@
 """Raw bytes of a sensor on the bus: what the device sent, before it is interpreted.
 
-A service hands every piece to its tap; the tap publishes it only while somebody listens (``spotter record --raw``).
+A service passes every piece to its tap, which publishes it only while there is a subscriber (``spotter record --raw``).
 ``common/recording/raw.py`` reads the pieces back, and the same service processes them again.
 """
 
@@ -26,21 +26,21 @@ class Outlet(Protocol):
 
     @property
     def wanted(self) -> bool:
-        """Somebody listens now."""
+        """True while there is a subscriber."""
 
     def __call__(self, message: RawBytes) -> None:
         """Send one piece."""
 
 
 class RawTap:
-    """Call it with every piece, in order. Costs next to nothing without a subscriber.
+    """Call it with every piece, in order. Costs almost nothing without a subscriber.
 
-    The pieces of the first second are held back until a listener is found, so that a recorder that runs already misses
-    none: only a recording that begins with piece 0 gives exactly the same results again.
+    The pieces of the first second are held back until a subscriber is found, so that a running recorder misses none:
+    only a recording that begins with piece 0 gives exactly the same results again.
 
     Args:
         publish: the publisher of the service's raw topic.
-        about: what a reader has to know beside the bytes, sent with each piece.
+        about: what a reader needs besides the bytes, sent with each piece.
     """
 
     def __init__(self, publish: Outlet, **about: object) -> None:
@@ -82,13 +82,13 @@ def _array(data: Data) -> np.ndarray:
 
 
 def changes(config: msgspec.Struct, fitted: msgspec.Struct) -> dict[str, Any]:
-    """The top-level keys in which ``fitted``, what a source knew of itself, differs from what was configured."""
+    """The top-level keys in which ``fitted``, which has values from the source, differs from the configuration."""
     names = [name for name in config.__struct_fields__ if getattr(config, name) != getattr(fitted, name)]
     return {name: msgspec.to_builtins(getattr(fitted, name)) for name in names}
 
 
 def with_changes(config: C, changed: dict[str, Any]) -> C:
-    """Such changes laid over another configuration.
+    """Apply such changes to another configuration.
 
     Raises:
         ConfigError: they do not fit its type.

@@ -1,4 +1,4 @@
-"""Opening and closing a Zenoh session so that any start order works and nothing hangs at the end."""
+"""Opens and closes a Zenoh session so that any start order works and the end never blocks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PROTOCOLS = (*WITH_PORT, "unixsock-stream", "unixpipe", "serial", "vsock")
 OPEN_ATTEMPT_MS = 500  # open() ignores signals while it waits, so it waits briefly and often
 UNDECLARE_ATTEMPTS = 200
 UNDECLARE_PAUSE_S = 0.002
-CLOSE_BUDGET_S = 0.7  # close() during a network cut takes 10 s; nobody waits for that
+CLOSE_BUDGET_S = 0.7  # close() takes 10 s while the network is cut: too long
 
 
 def zenoh_settings(config: ZenohConfig) -> dict[str, Any]:
@@ -104,10 +104,10 @@ def build(config: ZenohConfig) -> zenoh.Config:
 
 
 def refuse_malformed(endpoint: str) -> None:
-    """Zenoh takes an endpoint without a port, or of a protocol that it does not know, and tries it for ever.
+    """Zenoh accepts an endpoint without a port, or of an unknown protocol, and retries without end. Refuse it here.
 
     Raises:
-        ConfigError: says what is wrong with it.
+        ConfigError: the endpoint is wrong; the text says how.
     """
     protocol, slash, address = endpoint.partition("/")
     port = address.partition("?")[0].partition("#")[0].rpartition(":")[2]
@@ -123,7 +123,7 @@ def refuse_malformed(endpoint: str) -> None:
 
 
 def refuse_unusable(config: ZenohConfig) -> None:
-    """Zenoh takes certificates that are missing or something else for a router that does not answer, and waits.
+    """Zenoh treats missing or wrong certificate files like a router that does not answer, and waits. Refuse them here.
 
     Raises:
         ConfigError: names the file.
@@ -134,14 +134,14 @@ def refuse_unusable(config: ZenohConfig) -> None:
             Path(path).open("rb").close()
         except OSError as error:
             raise ConfigError(f"[zenoh] {name} = {path!r}: {error.strerror}") from None
-    context, told = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), f"[zenoh] ca_certificate = {config.ca_certificate!r}"
+    context, setting = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), f"[zenoh] ca_certificate = {config.ca_certificate!r}"
     try:
         context.load_verify_locations(config.ca_certificate)
-        told = f"[zenoh] certificate = {config.certificate!r}, private_key = {config.private_key!r}"
+        setting = f"[zenoh] certificate = {config.certificate!r}, private_key = {config.private_key!r}"
         context.load_cert_chain(config.certificate, config.private_key, password="")
     except ssl.SSLError:
-        key = " and the private key that belongs to it" if "private_key" in told else ""
-        raise ConfigError(f"{told}: expected a certificate in PEM{key}") from None
+        key = " and the private key that belongs to it" if "private_key" in setting else ""
+        raise ConfigError(f"{setting}: expected a certificate in PEM{key}") from None
 
 
 def open_session(config: ZenohConfig, *, give_up_after_s: float | None = None) -> zenoh.Session:
@@ -149,7 +149,7 @@ def open_session(config: ZenohConfig, *, give_up_after_s: float | None = None) -
 
     Raises:
         ConfigError: settings that Zenoh refuses.
-        ConnectionError: nobody answered within ``give_up_after_s``.
+        ConnectionError: no router answered within ``give_up_after_s``.
     """
     built = build(config)
     waited_s = 0.0
@@ -169,7 +169,7 @@ def open_session(config: ZenohConfig, *, give_up_after_s: float | None = None) -
 
 
 def undeclare(subscriber: Any) -> None:
-    """End a subscription that another thread iterates: Zenoh refuses at the moments in which that thread holds it."""
+    """End a subscription that another thread iterates; retried, because Zenoh refuses while that thread uses it."""
     for _ in range(UNDECLARE_ATTEMPTS):
         try:
             subscriber.undeclare()
@@ -181,7 +181,7 @@ def undeclare(subscriber: Any) -> None:
 
 
 def plain(error: zenoh.ZError) -> str:
-    """Zenoh's error without the places in its own source code: the part that a person can use."""
+    """Zenoh's error without its source code locations."""
     return re.split(r" at /|: \[", str(error))[0]
 
 

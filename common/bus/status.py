@@ -1,4 +1,4 @@
-"""What a service says of itself: state with reason, counts, rate, age, memory."""
+"""The status of a service: state with reason, counts, rate, age, memory."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Report:
         self._progress_s = monotonic_s()
 
     def beat(self) -> None:
-        """The main loop goes round. Everything that a source or a pipeline reports counts as well."""
+        """The main loop makes progress. Every report of a source or a pipeline counts as well."""
         self._progress_s = monotonic_s()
 
     def silent_s(self) -> float:
@@ -61,7 +61,7 @@ class Report:
                 self.changed.set()
 
     def bad_input(self, name: str, count: int = 1) -> None:
-        """Count input that was rejected, under a short name of what was wrong with it."""
+        """Count rejected input, under a short name of the fault."""
         self.beat()
         if count:
             with self._lock:
@@ -69,7 +69,7 @@ class Report:
                 self._counters[name] += count
 
     def count(self, name: str, count: int = 1) -> None:
-        """Count something worth knowing that is no error."""
+        """Count an event that is not an error."""
         if count:
             with self._lock:
                 self._counters[name] += count
@@ -85,7 +85,7 @@ class Report:
             self._stage_ms = stage_ms
 
     def published(self, message: object, *, primary: bool) -> None:
-        """Called by the publisher after each put; ``primary`` marks the topic that others decide on."""
+        """Called by the publisher after each put; ``primary`` marks the topic with an age limit."""
         self.beat()
         now_s = monotonic_s()
         with self._lock:
@@ -139,7 +139,7 @@ class Report:
 
 
 def _resident_mb() -> float:
-    """Of now; the most so far where that cannot be read, as without a free file descriptor."""
+    """Present memory; the greatest so far if that cannot be read, for example without a free file descriptor."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
     except OSError:

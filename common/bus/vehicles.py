@@ -1,4 +1,4 @@
-"""Which host belongs to which vehicle, as the fusions on the bus say it: each knows the hosts of its own vehicle."""
+"""Which host belongs to which vehicle, asked from the fusions on the bus: each knows its vehicle's hosts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def vehicles_on_bus(session: zenoh.Session) -> dict[str, str]:
 
 
 def vehicles_in(answers: Iterable[bytes]) -> dict[str, str]:
-    """From what fusions say of themselves (``ServiceInfo``); what cannot be read is left out."""
+    """From the ``ServiceInfo`` of the fusions; undecodable ones are left out."""
     found: dict[str, str] = {}
     for answer in answers:
         try:

@@ -38,11 +38,11 @@ class Adopted:
         signal.pidfd_send_signal(self._descriptor, signum)
 
     def terminate(self) -> None:
-        """Ask it to end."""
+        """Send SIGTERM."""
         self.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """End it at once."""
+        """Send SIGKILL."""
         self.send_signal(signal.SIGKILL)
 
     async def wait(self) -> None:
@@ -81,7 +81,7 @@ def read_successor(inbox: Path, service: str) -> Successor | None:
 
 
 def delete_successor(inbox: Path, service: str) -> None:
-    """What it left is done with."""
+    """Delete the file of the swap."""
     (inbox / service).unlink(missing_ok=True)
 
 

@@ -1,6 +1,6 @@
-"""Whether a supervised process still works: what it says of itself through sd_notify(3), as systemd would hear it.
+"""Whether a supervised process still works, by its sd_notify(3) messages, as systemd would do it.
 
-A process that never says READY=1 (a program that is not ours, a service that still starts) is not judged.
+A process that never says READY=1 (a program that is not ours, a service that still starts) is not monitored.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ import socket
 from pathlib import Path
 
 READ_BYTES = 4096
-# A service shows life from a thread of its own, and stops when its main loop has stood for half of this (systemd's
-# WatchdogSec of our units): opening a camera may take its time.
+# A service sends its heartbeat from a separate thread, and stops when its main loop was stuck for half of this time
+# (WatchdogSec of our systemd units). Long, because opening a camera may take several seconds.
 WATCHDOG_S = 30.0
 
 
 class Heartbeat:
-    """The listening end of one service's NOTIFY_SOCKET, at ``path``. Times are monotonic seconds, given by the caller.
+    """The receiving end of one service's NOTIFY_SOCKET, at ``path``. Times are monotonic seconds, given by the caller.
 
     Raises:
         OSError: the socket cannot be made, for example because the path is too long.
@@ -37,11 +37,11 @@ class Heartbeat:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What the process has to know."""
+        """Environment variables for the process."""
         return {"NOTIFY_SOCKET": str(self._path), "WATCHDOG_USEC": str(round(WATCHDOG_S * 1e6))}
 
     def begin(self) -> None:
-        """Another process speaks from now on; what the one before it said is forgotten."""
+        """A new process starts: forget the messages of the one before."""
         self._read()
         self._last_s = None
 
@@ -53,13 +53,13 @@ class Heartbeat:
         return 0.0 if self._last_s is None else now_s - self._last_s
 
     def close(self) -> None:
-        """Listen no more."""
+        """Close the socket."""
         self._socket.close()
         with contextlib.suppress(OSError):
             os.unlink(self._path)
 
     def _read(self) -> str:
-        """All that came since the last call."""
+        """Read all messages since the last call."""
         texts = []
         with contextlib.suppress(BlockingIOError):
             while True:

@@ -18,7 +18,7 @@ from common.host.site import Site
 from common.host.supervisor import Child
 from common.topics import ONBOARD_SENSORS, SENSOR_TOPICS, SERVICES, ServiceRow, service_row
 
-SENSORS_WITH_PATH = ("radar", "lidar", "camera")  # they judge what they see by the vehicle's way
+SENSORS_WITH_PATH = ("radar", "lidar", "camera")  # services that need the vehicle's path to evaluate what they measure
 SERVICES_WITH_PATH = (*SENSORS_WITH_PATH, "fusion")
 
 
@@ -117,7 +117,7 @@ def sensor_host_settings(site: Site, host: str, service: str) -> tuple[str, ...]
 
 
 def path_settings(site: Site, host: str, service: str) -> tuple[str, ...]:
-    """Settings that tell a service of the vehicle how wide it is and how it brakes, from the site file."""
+    """Settings with width and brakes of the vehicle for a service on board, from the site file."""
     path = site.path_of(host)
     if path is None or service not in SERVICES_WITH_PATH:
         return ()
@@ -125,7 +125,7 @@ def path_settings(site: Site, host: str, service: str) -> tuple[str, ...]:
 
 
 def map_settings(site: Site) -> tuple[str, ...]:
-    """The setting that tells a service where the map lies on the Earth; one, because no key of it can do alone."""
+    """The setting with the map's origin on the Earth; one setting, because its keys need each other."""
     if site.map is None:
         return ()
     keys = ", ".join(f"{key} = {value}" for key, value in msgspec.to_builtins(site.map).items())
@@ -151,7 +151,7 @@ def _whose_verdict(site: Site, host: str, service: str) -> str | None:
 
 
 def membership(site: Site, host: str, service: str) -> tuple[str, ...]:
-    """Settings that tell fusion whom it may listen to. They come last, so that no other setting undoes them."""
+    """Settings with the hosts that fusion may use. They come last, so that no other setting overrides them."""
     if service != "fusion":
         return ()
     own, roadside = site.vehicle_hosts(host), site.roadside_hosts

@@ -79,9 +79,9 @@ class Site(Section, frozen=True, kw_only=True):
     namespace: Chunk = "spotter"
     accept_simulated: bool = False  # a site for trials: recorded, emulated and simulated data may take part
     tls: TlsConfig = TlsConfig()
-    map: MapOrigin | None = None  # where the map's origin lies on the Earth; None: nobody has said
+    map: MapOrigin | None = None  # the map's origin on the Earth; None: not configured
     ros2: Ros2Config = Ros2Config()
-    path: PathConfig | None = None  # outline and brakes of the vehicles; None: as the services' own files say
+    path: PathConfig | None = None  # outline and brakes of the vehicles; None: as in the services' own files
     paths: dict[Chunk, PathConfig] = msgspec.field(default_factory=dict)  # of single vehicles, by name
     hosts: dict[Chunk, HostConfig] = msgspec.field(default_factory=_one_machine)
 

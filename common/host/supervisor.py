@@ -119,7 +119,7 @@ class Supervisor:
             child.exit_code = EXIT_WRONG_CONFIG
             return 0.0
         if child.heartbeat is not None:
-            child.heartbeat.begin()  # before it starts: its first word may come at once
+            child.heartbeat.begin()  # before it starts, because its first message may come at once
         try:
             process = await asyncio.create_subprocess_exec(
                 *child.command,
@@ -131,7 +131,7 @@ class Supervisor:
                 start_new_session=True,  # Ctrl-C reaches us alone, and we stop them in order
                 preexec_fn=_die_with_parent,
             )
-        except OSError as error:  # no memory, its folder is gone: no reason to stop the others
+        except OSError as error:  # out of memory, or its folder is gone: the others go on
             self._say(child, index, f"cannot be started: {error.filename or child.command[0]}: {error.strerror}")
             child.exit_code = None
             return 0.0
@@ -180,14 +180,14 @@ class Supervisor:
         """The environment of a child, with the folder in which a swap writes its successor and where to show life."""
         if self._inbox is None:
             return child.environment
-        told = {INBOX_VARIABLE: str(self._inbox), **(child.heartbeat.environment if child.heartbeat else {})}
+        own = {INBOX_VARIABLE: str(self._inbox), **(child.heartbeat.environment if child.heartbeat else {})}
         given = os.environ if child.environment is None else child.environment
-        return {**{name: value for name, value in given.items() if name not in _OF_ANOTHER_SUPERVISOR}, **told}
+        return {**{name: value for name, value in given.items() if name not in _OF_ANOTHER_SUPERVISOR}, **own}
 
     async def _end(self, process: Process, ended: asyncio.Task[int | None], child: Child, index: int) -> None:
         with contextlib.suppress(ProcessLookupError):
             process.terminate()
-            process.send_signal(signal.SIGCONT)  # a frozen process cannot hear the first one
+            process.send_signal(signal.SIGCONT)  # a stopped process does not handle the first one
         done, _ = await asyncio.wait({ended}, timeout=STOP_BUDGET_S)
         if not done:
             self._say(child, index, f"did not stop within {STOP_BUDGET_S:.0f} s; killed")
@@ -254,7 +254,7 @@ def _die_with_parent() -> None:
 
 
 def write_stderr(text: str) -> None:
-    """A log on a full disk loses lines; that is no reason to stop what it is about."""
+    """Ignore write errors: a log on a full disk loses lines, and the services go on."""
     with contextlib.suppress(OSError):
         sys.stderr.write(text)
         sys.stderr.flush()

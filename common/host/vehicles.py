@@ -40,7 +40,7 @@ def roadside_hosts(hosts: Hosts) -> tuple[str, ...]:
 
 
 def check_vehicles(hosts: Hosts) -> None:
-    """Refuse a site in which a fusion could hear the sensors of another vehicle.
+    """Refuse a site in which a fusion could receive the sensors of another vehicle.
 
     Raises:
         ValueError: a service of ``ONE_PER_VEHICLE`` on two hosts of a vehicle, or at the roadside.

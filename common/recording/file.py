@@ -23,8 +23,8 @@ CHUNK_BYTES = 1 << 20
 class RecordingFile:
     """Use it in a ``with`` statement; leaving it writes the index and the statistics.
 
-    A file to which the disk gave no room for a single message is removed; with ``whole`` every one that does not come
-    to its end, whatever ended it.
+    A file without a single message, because the disk was full, is removed. With ``whole``, every file that is not
+    completed is removed.
 
     Raises:
         FileExistsError: never overwrites a recording.
@@ -85,16 +85,16 @@ class RecordingFile:
         self._writer.add_message(channel, log_ns, payload, log_ns)
 
     def attach(self, name: str, media_type: str, data: bytes, stamp_ns: int) -> None:
-        """A file inside the file: configuration, for example."""
+        """Attach a file, for example the configuration."""
         self._writer.add_attachment(stamp_ns, stamp_ns, name, media_type, data)
 
     def flush(self) -> None:
-        """Close the chunk and hand everything to the kernel: what is before this survives a kill -9."""
+        """Close the chunk and write everything to the kernel: earlier messages survive a kill -9."""
         self._writer.flush()
         self.held_ns = self._newest_ns
 
     def sync(self) -> None:
-        """Ask the kernel to write it to the disk: what is before this survives a power cut."""
+        """Sync to the disk: earlier messages survive a power cut."""
         os.fdatasync(self._stream.fileno())
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
 """Our messages as Foxglove's own: 3-D scene, laser scan, cloud, picture, transforms, log. Pure.
 
 Used by the recorder and by the live bridge alike. Frames: ``map`` > ``vehicle`` > ``lidar``, ``radar``; the roadside
-lidar speaks in ``map``. Needs the extra ``foxglove``.
+lidar uses ``map``. Needs the extra ``foxglove``.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ _CONVERTERS: dict[type[m.Message], Callable[[str, Any], Converted]] = {
 
 
 def _time(stamp_ns: int) -> Any:
-    """Foxglove's time ends in 2106. A later stamp, of a clock that is wrong, must not end who draws it."""
+    """Foxglove's time ends in 2106: a later stamp, from a wrong clock, is limited so that it raises no error."""
     seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
     return fg.Timestamp(sec=min(seconds, LAST_SECOND), nsec=nanoseconds)
 

@@ -33,7 +33,7 @@ DAMAGE = (
     ArithmeticError,
     OSError,
     MemoryError,
-)  # what the library meets in damaged bytes
+)  # errors of the library for damaged bytes
 
 
 class RecordingError(ValueError):
@@ -87,7 +87,7 @@ def read(path: Path, start_ns: int | None = None, refused: Counter[str] | None =
 
 
 def is_complete(path: Path) -> bool:
-    """Whether the recorder came to its end: the file closes with the format's magic.
+    """Whether the file is complete: it ends with the format's magic bytes.
 
     Raises:
         RecordingError: it does not begin as an MCAP file either, or it cannot be read at all.
@@ -118,13 +118,13 @@ def files_in(path: Path) -> list[Path]:
 
 
 def _place(path: Path) -> tuple[str, int]:
-    """Which recorder wrote a file, and as which of its files; what does not say so stands by itself."""
+    """Which recorder wrote a file, and as which of its files; without that entry, the file is on its own."""
     try:
         with path.open("rb") as stream:
             for record in islice(StreamReader(stream).records, HEAD_RECORDS):
                 if isinstance(record, Metadata) and record.name == WRITTEN_BY:
                     return record.metadata["recorder"], int(record.metadata["file"])
-    except DAMAGE:  # told when it is read
+    except DAMAGE:  # reported when it is read
         pass
     return path.name, 0
 

@@ -1,6 +1,6 @@
 """Our messages as Rerun's archetypes: 3-D boxes and points, picture, plots, log. Pure; needs the extra ``rerun``.
 
-Entities: ``map`` > ``map/vehicle`` > ``map/vehicle/lidar`` and ``.../radar``; the roadside lidar speaks in ``map``.
+Entities: ``map`` > ``map/vehicle`` > ``map/vehicle/lidar`` and ``.../radar``; the roadside lidar uses ``map``.
 Everything lies on the timeline ``stamp``: UTC of the measurement.
 """
 
