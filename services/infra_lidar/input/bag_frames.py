@@ -16,7 +16,7 @@ from services.infra_lidar.input.calibration_files import DIFOP_WITHIN, captured_
 from services.infra_lidar.input.captures import CaptureError
 from services.infra_lidar.input.hesai_calibration import CalibrationError
 from services.infra_lidar.input.models import KINDS, kind_of
-from services.infra_lidar.input.ouster import MetadataError
+from services.infra_lidar.input.ouster_metadata import MetadataError
 from services.infra_lidar.input.packets import Frame, Recorded, decoded
 from services.infra_lidar.input.pcd import FrameError
 from services.infra_lidar.input.sensors import OUSTER, SUPPORTED, Sender, model_of

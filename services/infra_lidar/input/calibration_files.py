@@ -23,7 +23,8 @@ from services.infra_lidar.input.hesai_calibration import (
 )
 from services.infra_lidar.input.hesai_commands import ask_calibration
 from services.infra_lidar.input.models import kind_of
-from services.infra_lidar.input.ouster import MetadataError, OusterFormat
+from services.infra_lidar.input.ouster import OusterFormat
+from services.infra_lidar.input.ouster_metadata import MetadataError
 from services.infra_lidar.input.sensors import HESAI_MODELS, Sender
 
 DIFOP_PORT, DIFOP_WAIT_S = 7788, 3.0  # the sensor sends one each second

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from services.infra_lidar.input.ouster_metadata import MetadataError, check_beams, check_transform, check_window
 from services.infra_lidar.input.ouster_profiles import PACKET_TYPES, PROFILES, frame_id_at
 from services.infra_lidar.input.range_image import MOST_BEAMS, RangeImage, RangeImageArrays
 from services.infra_lidar.input.revolution import PacketDecoder, PacketOrder, Revolution, RevolutionAssembler
@@ -22,16 +23,12 @@ FRAME_IDS = 1 << 16
 FARTHEST_FRAMES = 10
 
 
-class MetadataError(ValueError):
-    """The sensor's metadata lack what is needed; the text says what."""
-
-
 class OusterFormat:
     """Packet layout and beam geometry of one sensor.
 
     Raises:
         MetadataError: the text is no metadata of a lidar, of a packet format that is not supported, or has numbers with
-            which packets cannot be counted or decoded.
+            which packets cannot be counted or decoded, or that no sensor has.
     """
 
     def __init__(self, metadata: str) -> None:
@@ -47,20 +44,24 @@ class OusterFormat:
             self.columns_per_frame = int(layout["columns_per_frame"])
             self.columns_per_packet = int(layout["columns_per_packet"])
             self.beams = int(layout["pixels_per_column"])
-            altitude = np.radians(np.array(flat["beam_altitude_angles"], float).reshape(-1))
-            azimuth = -np.radians(np.array(flat["beam_azimuth_angles"], float).reshape(-1))
-            beam_origin_m = float(flat.get("lidar_origin_to_beam_origin_mm", 0.0)) / 1000.0
+            altitude_deg = np.array(flat["beam_altitude_angles"], float).reshape(-1)
+            azimuth_deg = np.array(flat["beam_azimuth_angles"], float).reshape(-1)
+            beam_origin_mm = float(flat.get("lidar_origin_to_beam_origin_mm", 0.0))
             to_sensor = np.reshape(np.array(flat["lidar_to_sensor_transform"], float), (4, 4))
         except (RecursionError, KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
             raise MetadataError(f"not the metadata of an Ouster lidar: {error!r}") from error
         if self.profile_name not in PROFILES:
             raise MetadataError(f"packet format {self.profile_name}; known: {', '.join(PROFILES)}")
         self._check_numbers()
-        if not self.beams == len(altitude) == len(azimuth):
-            raise MetadataError(f"{self.beams} pixels a column, {len(altitude)} and {len(azimuth)} beam angles")
-        turned, aside = to_sensor[2, :2], to_sensor[:2, 3]
-        if np.abs([*turned, *aside]).max() > 1e-6:
-            raise MetadataError("lidar_to_sensor_transform: expected a turn about z and a shift along it")
+        if not self.beams == len(altitude_deg) == len(azimuth_deg):
+            raise MetadataError(
+                f"pixels_per_column {self.beams}, but {len(altitude_deg)} beam_altitude_angles and {len(azimuth_deg)} "
+                f"beam_azimuth_angles"
+            )
+        check_beams(altitude_deg, azimuth_deg, beam_origin_mm)
+        check_transform(to_sensor)
+        if layout.get("column_window") is not None:
+            check_window(layout["column_window"], self.columns_per_frame)
         self.profile = PROFILES[self.profile_name]
         self.frame_id_at = frame_id_at(self.profile_name, str(layout.get("header_type", "")))
         self.packet_type = PACKET_TYPES[self.frame_id_at]
@@ -79,7 +80,8 @@ class OusterFormat:
         encoder = 2.0 * np.pi * (1.0 - np.arange(self.columns_per_frame) / self.columns_per_frame)
         heading_rad = encoder + np.arctan2(to_sensor[1, 0], to_sensor[0, 0])
         self.cos_sin = np.stack([np.cos(heading_rad), np.sin(heading_rad)], axis=1).astype(np.float32)
-        self.beam_geometry = _beams(altitude, azimuth, beam_origin_m, to_sensor[2, 3] / 1000.0)
+        altitude, azimuth = np.radians(altitude_deg), -np.radians(azimuth_deg)
+        self.beam_geometry = _beams(altitude, azimuth, beam_origin_mm / 1000.0, to_sensor[2, 3] / 1000.0)
 
     def _check_numbers(self) -> None:
         """Refuse numbers with which packets cannot be counted or put into range images."""

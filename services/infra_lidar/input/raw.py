@@ -16,7 +16,7 @@ from common.source_url import SourceUrl
 from common.topics import INFRA_RAW
 from services.infra_lidar.input.hesai_calibration import CalibrationError
 from services.infra_lidar.input.models import decoder_of
-from services.infra_lidar.input.ouster import MetadataError
+from services.infra_lidar.input.ouster_metadata import MetadataError
 from services.infra_lidar.input.packets import Frame
 from services.infra_lidar.input.revolution import PacketDecoder, decode_revolution, stack_packets
 from services.infra_lidar.sensor_health import FrameQuality

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.infra_lidar.input.ouster import MetadataError, OusterFormat, OusterParser, decode
+from services.infra_lidar.input.ouster import OusterFormat, OusterParser, decode
+from services.infra_lidar.input.ouster_metadata import MetadataError
 from services.infra_lidar.input.ouster_profiles import PROFILES
 from services.infra_lidar.input.revolution import Revolution
 from tests.infra_lidar.ouster_packets import COLUMNS, FIELDS, Frame, metadata, point_of

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from services.infra_lidar.input.bags import open_bag, packets_of
 from services.infra_lidar.input.captures import CaptureError, read_capture
-from services.infra_lidar.input.ouster import MetadataError, OusterFormat, OusterParser
+from services.infra_lidar.input.ouster import OusterFormat, OusterParser
+from services.infra_lidar.input.ouster_metadata import MetadataError
 from services.infra_lidar.input.velodyne import PACKET_BYTES, RING, Vls128Parser
 from tests.infra_lidar.made_packets import metadata, ouster_packet, revolutions_of, vls_packet
 
