@@ -72,11 +72,11 @@ def plane_cloud() -> Callable[..., np.ndarray]:
     """A road of 40 m by 40 m and boxes on it, seen by a tilted sensor: (N, 3) float32 in the sensor frame."""
 
     def make(
-        height_m: float = 5.0, roll_rad: float = 0.0, pitch_rad: float = 0.2, noise_m: float = 0.01,
+        height_m: float = 5.0, roll_rad: float = 0.0, pitch_rad: float = 0.2,
         boxes: tuple[tuple[float, float, float, float, float], ...] = (), points: int = 20_000, seed: int = 0,
     ) -> np.ndarray:  # fmt: skip
         rng = np.random.default_rng(seed)
-        road = np.column_stack([rng.uniform(-20, 20, (points, 2)), rng.normal(0, noise_m, points)])
+        road = np.column_stack([rng.uniform(-20, 20, (points, 2)), rng.normal(0, 0.01, points)])
         solid = [
             rng.uniform([x - a / 2, y - b / 2, 0.05], [x + a / 2, y + b / 2, h], (600, 3)) for x, y, a, b, h in boxes
         ]

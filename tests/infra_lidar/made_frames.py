@@ -19,7 +19,9 @@ def npy(array, version=None):
     return buffer.getvalue()
 
 
-def pcd(kind, body, fields="x y z intensity ring", size="4 4 4 4 2", types="F F F F U", count="1 1 1 1 1", points=2):
+def pcd(kind, body, layout=("x y z intensity ring", "4 4 4 4 2", "F F F F U", "1 1 1 1 1"), points=2):
+    """A .pcd file; ``layout`` is what its header says of the fields: names, sizes, types, counts."""
+    fields, size, types, count = layout
     header = (
         f"# .PCD v0.7\nVERSION 0.7\nFIELDS {fields}\nSIZE {size}\nTYPE {types}\nCOUNT {count}\n"
         f"WIDTH {points}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA {kind}\n"

@@ -21,9 +21,8 @@ def test_pcd_ascii():
 def test_pcd_binary_with_padding():
     record = np.zeros(2, [("xyz", "<f4", 3), ("_", "u1", 4), ("intensity", "<f4"), ("ring", "<u2"), ("__", "u1", 2)])
     record["xyz"], record["intensity"], record["ring"] = ROWS[:, :3], ROWS[:, 3], ROWS[:, 4]
-    data = pcd(
-        "binary", record.tobytes(), "x y z _ intensity ring _", "4 4 4 1 4 2 1", "F F F U F U U", "1 1 1 4 1 1 2"
-    )
+    layout = "x y z _ intensity ring _", "4 4 4 1 4 2 1", "F F F U F U U", "1 1 1 4 1 1 2"
+    data = pcd("binary", record.tobytes(), layout)
     assert np.array_equal(parse_pcd(data), ROWS)
 
 
@@ -64,7 +63,7 @@ def test_pcd_of_an_organised_cloud_without_points():
 def test_pcd_with_eight_byte_time_and_a_padding_of_nothing():
     record = np.zeros(2, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u8")])
     record["x"], record["t"] = ROWS[:, 0], 1 << 60
-    data = pcd("binary", record.tobytes(), "X Y Z t _", "4 4 4 8 1", "F F F U U", "1 1 1 1 0")
+    data = pcd("binary", record.tobytes(), ("X Y Z t _", "4 4 4 8 1", "F F F U U", "1 1 1 1 0"))
     assert np.array_equal(parse_pcd(data)[:, 0], ROWS[:, 0])
 
 
