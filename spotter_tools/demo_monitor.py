@@ -1,4 +1,4 @@
-"""Listens to a running demo and sums it up: counts, rates, verdict and health history, latency.
+"""Monitors a running demo: counts, rates, verdict and health history, latency.
 
 Latency is from the measurement's stamp to the verdict that first used it being sent: echo to alarm, on one clock.
 """
@@ -56,7 +56,7 @@ class DemoMonitor:
             threading.Thread(target=self._receive, args=(subscriber,), name="demo monitor", daemon=True).start()
 
     def restart(self) -> None:
-        """Forget the start-up: counts, histories and latencies begin now."""
+        """Start the measurement again: counts, histories and latencies begin now."""
         with self._lock:
             self._seen = DemoReport(monotonic_s(), bad_input=dict(self._seen.bad_input))
             self._last_state.clear()

@@ -1,4 +1,4 @@
-"""A sensor's service runs again over the raw bytes of a recording; its results must be those that were recorded."""
+"""Runs a sensor's service again over the raw bytes of a recording; the results must equal the recorded ones."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from common.source_url import SourceUrl
 from common.topics import Topic
 
 NOT_COMPARED = ("seq", "sent_ns", "received_ns", "stage_ms", "source_kind")  # of the run, not of the measurement
-OF_THE_LOAD = "processing takes"  # a reason that does so, too: state and reason are not held against it
+OF_THE_LOAD = "processing takes"  # a reason that depends on it too: state and reason are then not compared
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Outcome:
 
 
 def verify_service(service: str, path: Path, config: Path | None = None) -> Outcome:
-    """Run the service over the recording's raw bytes and compare everything it said with what it says now.
+    """Run the service over the recording's raw bytes and compare its recorded messages with the new ones.
 
     Raises:
         ConfigError: no raw bytes of it in the recording, not from their beginning, pieces lost, a result that cannot

@@ -36,7 +36,7 @@ class LinkWatch:
         threading.Thread(target=self._look, name="links", daemon=True).start()
 
     def close(self) -> None:
-        """Stop looking."""
+        """Stop the checks."""
         self._pause.set()
 
     def _look(self) -> None:

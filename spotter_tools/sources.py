@@ -9,7 +9,7 @@ from common.host.site import Site
 from common.source_url import source_kind
 from common.topics import SENSOR_TOPICS
 
-MEASURES = (*SENSOR_TOPICS, "ego")  # services that are nothing without a source
+MEASURES = (*SENSOR_TOPICS, "ego")  # services that cannot run without a source
 EXAMPLES = {
     "radar": "spi:0.0",
     "lidar": "serial:/dev/ttyTHS1",
@@ -22,7 +22,7 @@ ALSO = {"camera": ('set = ["detector.model=/opt/spotter/yolo11n.onnx"]',)}  # th
 
 
 def refuse_without_source(host: str, configurations: Mapping[str, ServiceConfig]) -> None:
-    """A sensor that nobody gave a source is not started on an invented one.
+    """Refuse to start a sensor without a configured source.
 
     Raises:
         ConfigError: with the lines that are missing in site.toml.
@@ -42,7 +42,7 @@ def refuse_without_source(host: str, configurations: Mapping[str, ServiceConfig]
 
 
 def refuse_made_up(site: Site, host: str, configurations: Mapping[str, ServiceConfig]) -> None:
-    """In a live site no recorded, emulated or simulated data stand below the site's keys.
+    """Refuse recorded, emulated or simulated sources in a live site.
 
     Raises:
         ConfigError: names the source and the setting that makes the site one for trials.

@@ -1,4 +1,4 @@
-"""Sentences compared by their words."""
+"""Compares sentences without their numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`spotter acknowledge`: a person has looked, and what no sensor sees any more is gone."""
+"""`spotter acknowledge`: a person confirms that what no sensor sees any more is gone."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def cpm(
 
 
 def _why_nothing(session: zenoh.Session, key: str, *, heard: bool) -> str:
-    """Ends the command when nobody publishes; not once tracks have come: their service may start again."""
+    """Ends the command when no service publishes; not once tracks have come, because their service may start again."""
     silent = why_silent(session, key)
     if silent and not heard:
         fail(silent)
@@ -87,7 +87,7 @@ def _why_nothing(session: zenoh.Session, key: str, *, heard: bool) -> str:
 
 
 def why_not(message: ObjectTracks, accept_simulated: bool) -> str:
-    """Why these tracks must not be told to others; "" = they may."""
+    """Why these tracks must not be sent to others; "" = they may."""
     if message.source_kind != "live" and not accept_simulated:
         return f"the tracks are {message.source_kind}, not live (--accept-simulated for trials)"
     if message.state != "online":

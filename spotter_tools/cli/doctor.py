@@ -43,7 +43,7 @@ def doctor(
 ) -> None:
     """Check configuration, devices, ports, certificates, links, rules, clocks, versions and disk.
 
-    Each sensor whose service does not run is opened for a second, as its service would, to see whether it speaks.
+    Each sensor whose service does not run is opened for a second, as its service would, to see whether data come.
     Without --site and HOST, a demo that runs on this machine (--connect) is checked as a demo.
     """
     init_zenoh_log(None)

@@ -32,7 +32,7 @@ class SensorView(msgspec.Struct, kw_only=True):
 
 
 class FusionView(msgspec.Struct, kw_only=True):
-    """One fusion. ``host`` is empty where none was heard; ``verdict`` is None when the newest is too old; then
+    """One fusion. ``host`` is empty if none was found; ``verdict`` is None when the newest is too old; then
     ``colour`` is empty and there are no ``sensors`` either, each by the health's own limit.
     """
 

@@ -29,7 +29,7 @@ app = typer.Typer(name="gate", help="The gate between fusion's verdict and the a
 
 @app.command()
 def status(connect: Connect = DEFAULT_ENDPOINT, namespace: Namespace = "", as_json: AsJson = False) -> None:
-    """What the gate tells the actuator now, and why; exits with 1 when no gate speaks."""
+    """What the gate tells the actuator now, and why; exits with 1 when no gate publishes."""
     with bus(connect, namespace) as session:
         states = _states(session)
     if not states:
@@ -124,7 +124,7 @@ def lines_of(host: str, state: GateState) -> list[str]:
 
 
 def _states(session: zenoh.Session) -> dict[str, GateState]:
-    """The newest state of every gate that speaks, by host."""
+    """The newest state of every gate that publishes, by host."""
     states: dict[str, GateState] = {}
     arrived = threading.Event()
 

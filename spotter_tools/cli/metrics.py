@@ -139,7 +139,7 @@ def _sensors(overview: Overview) -> Iterator[Any]:
 
 
 def _verdict(overview: Overview) -> Iterator[Any]:
-    """By the fusion's host, which is empty where none was heard."""
+    """By the fusion's host, which is empty if none was found."""
     fusions = [((one.host,), one) for one in overview.fusions]
     levels = [(host, -1.0 if one.verdict is None else float(LEVELS.index(one.verdict.level))) for host, one in fusions]
     help_text = "0 SAFE, 1 CAUTION, 2 IMMINENT, -1 none: treat as STOP."

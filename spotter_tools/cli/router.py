@@ -57,7 +57,7 @@ def router(
             fail(str(error), code=2)
         config = of_site.config
     else:
-        # A router relays keys as they are: the namespace belongs to the sessions that speak, not to the relay.
+        # A router relays keys as they are: the namespace belongs to the publishing sessions, not to the relay.
         endpoints = tuple(listen or ["tcp/127.0.0.1:7447"])
         config = ZenohConfig(mode="router", listen=endpoints, connect=tuple(link or ()), namespace="")
     if show:
@@ -93,7 +93,7 @@ class _OfSite:
         return router_config(self._site, self._host, folder), watch
 
     def watch_links(self, session: zenoh.Session) -> None:
-        """Tell why another host cannot be linked, from now on. Without TLS only the network can be the reason."""
+        """Report from now on why another host cannot be linked. Without TLS only the network can be the reason."""
         if self.config.certificate:
             self._links = LinkWatch(session, self._site, self._host, self.config)
 
@@ -117,7 +117,7 @@ def _serve(config: ZenohConfig, of_site: _OfSite | None) -> NoReturn:
     try:
         for endpoint in config.listen:
             refuse_taken(endpoint, "is another router or demo running?")
-        build(config)  # what is wrong with the settings themselves is nobody else's doing
+        build(config)  # an error in the settings is not the fault of another process
     except ConfigError as error:
         fail(str(error), code=2)
     try:

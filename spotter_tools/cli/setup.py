@@ -48,7 +48,7 @@ def setup(
     ] = None,
     address: Annotated[str, typer.Option(help="What other hosts dial; without it the address in this network.")] = "",
     open_mode: Annotated[
-        bool, typer.Option("--open", help="Without TLS: whoever reaches a port may say anything. For the bench.")
+        bool, typer.Option("--open", help="Without TLS: anyone with access to a port may publish. For the bench only.")
     ] = False,
     dev: Annotated[Path, typer.Option("--dev", help="Where devices are looked for.")] = Path("/dev"),
     as_json: AsJson = False,
@@ -103,9 +103,9 @@ def _settings(file: Path, host: str, rows: list[ServiceRow], model: Path | None)
 
 
 def _choose(sensor: Sensor, first: list[str], dev: Path, yes: bool) -> str:
-    """The source to use, ``NOT_FITTED`` by somebody's word, or empty while there is none: then the host does not start.
+    """The source, ``NOT_FITTED`` if the user says so, or empty while there is none: then the host does not start.
 
-    Nothing is offered that did not show something a moment ago.
+    Only sources that have just delivered data are offered.
     """
     _say(f"\n{sensor.row.name}: looking for a sensor")
     sees = []

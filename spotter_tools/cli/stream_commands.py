@@ -25,7 +25,7 @@ from spotter_tools.cli.newest import keep_newest
 from spotter_tools.cli.render import readable
 from spotter_tools.cli.selection import Selection, select
 
-NOBODY_AFTER_S = 4.0  # of silence, it is asked whether anybody publishes the key
+NOBODY_AFTER_S = 4.0  # of silence, then check whether any service publishes the key
 
 
 def echo(

@@ -68,7 +68,7 @@ class TopicView(msgspec.Struct, kw_only=True):
 
 
 class Overview(msgspec.Struct, kw_only=True):
-    """The whole system at one moment. ``fusions`` has one entry for each that was heard, and at least one."""
+    """The whole system at one moment. ``fusions`` has one entry per fusion found, and at least one."""
 
     fusions: list[FusionView]
     services: list[ServiceView]
@@ -246,7 +246,7 @@ class Observer:
             try:
                 message = decode(payload, topic.message)
             except DecodeError:
-                message = None  # it was heard all the same
+                message = None  # its messages arrive nevertheless
         with self._lock:
             self._arrivals.setdefault(key, _Arrivals()).note(now_s, len(payload))
             host = key.partition("/")[0]

@@ -29,7 +29,7 @@ COLOURS = {
 
 
 class Looker(Protocol):
-    """Whatever can say how things are now: the bus, or a test."""
+    """A source of the present state: the bus, or a test."""
 
     def overview(self) -> Overview:
         """Everything as of now."""

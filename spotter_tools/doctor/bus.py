@@ -46,7 +46,7 @@ def alive_on(site: Site, host: str) -> set[str]:
 
 
 def check_bus(site: Site, host: str) -> Iterator[Finding]:
-    """As a client of this host's own router: what its services would see."""
+    """As a client of this host's own router, as its services are."""
     own = site.host(host)
     config = ZenohConfig(namespace=site.namespace, connect=(own.loopback,))
     try:
@@ -71,7 +71,7 @@ def check_bus(site: Site, host: str) -> Iterator[Finding]:
 
 
 def check_from_laptop(site: Site, name: str, keys: Path) -> Iterator[Finding]:
-    """As a laptop, at the router of each host: may it in, and does it hear what that host says?"""
+    """As a laptop, at the router of each host: is it admitted, and does it receive that host's messages?"""
     for host in site.hosts:
         dialled = _dialled(site, host)
         yield dialled
@@ -111,7 +111,7 @@ def _dialled(site: Site, name: str) -> Finding:
 
 
 def _unlinked(check: str, fault: LinkFault) -> Finding:
-    """The clock is named where it is the reason: a new certificate would not help then."""
+    """Names the clock if that is the reason: a new certificate would not help then."""
     on_clock = "set the clock (chrony); the certificates are in order"
     return broken(check, fault.why, on_clock if fault.cause == "clock" else "see the reason")
 
@@ -127,7 +127,7 @@ def check_services_of(session: zenoh.Session, host: str, services: Iterable[str]
 
 
 def _topic(topic: topics.Topic, key: str, sample: zenoh.Sample | None) -> Finding:
-    """From there to here with the data itself: it comes, and we can read it."""
+    """From there to here, with the data itself: it arrives and can be decoded."""
     if sample is None:
         silence = f"nothing within {ANSWER_S:g} s"
         if topic.age_limit_s is None:
@@ -144,7 +144,7 @@ def _topic(topic: topics.Topic, key: str, sample: zenoh.Sample | None) -> Findin
 
 
 def _service(session: zenoh.Session, host: str, service: str) -> Iterator[Finding]:
-    """From there to here, on real keys: it answers, speaks our version, and its clock agrees."""
+    """From there to here, on real keys: it answers, has our version, and its clock agrees."""
     check = f"hear {host}/{service}"
     info = ask(session, topics.info_key(host, service), ServiceInfo)
     if info is None:
@@ -205,7 +205,7 @@ def _rules(session: zenoh.Session, config: ZenohConfig) -> Finding:
     try:
         key = f"doctor/{uuid.uuid4().hex[:8]}/probe"
         kept = listener.declare_subscriber(key, lambda _: arrived.set())
-        for _ in range(PROBES):  # the first ones may come before the router knows of the listener
+        for _ in range(PROBES):  # the first ones may come before the router knows the subscriber
             session.put(key, b"nobody should hear this")
             if arrived.wait(PROBE_S):
                 break
@@ -220,7 +220,7 @@ def _rules(session: zenoh.Session, config: ZenohConfig) -> Finding:
 
 
 def ask(session: zenoh.Session, key: str, kind: type[M], payload: bytes | None = None) -> M | None:
-    """The first sensible answer, or None."""
+    """The first valid answer, or None."""
     for reply in session.get(key, payload=payload, timeout=ANSWER_S):
         if reply.ok is None:
             continue

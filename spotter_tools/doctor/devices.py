@@ -43,7 +43,7 @@ def device_of(source: str) -> Path | None:
 def check_device(service: str, source: str, own_command: tuple[str, ...] = ()) -> Iterator[Finding]:
     """The device file is there, is what the source says it is, and may be used by this user.
 
-    ``own_command``: a camera's capture command from the configuration; what it opens is its own affair.
+    ``own_command``: a camera's capture command from the configuration; the devices that it opens are not checked.
     """
     path, check, scheme = device_of(source), f"{service} device", source.partition(":")[0]
     if own_command:

@@ -1,4 +1,4 @@
-"""Why another host of the site cannot be linked: a TLS handshake with its router, and what its end says about ours.
+"""Why another host of the site cannot be linked: a TLS handshake with its router, and the router's alert.
 
 A router that refuses our certificate ends the handshake with an alert (RFC 8446, section 6.2). ``certificate_expired``
 stands for every certificate that is not valid now, so that with our own in date it means that the other clock is wrong.
@@ -58,7 +58,7 @@ def issue_again(name: str, kind: str = "host") -> str:
 
 
 def link_fault(files: OwnFiles, host: str, address: str, port: int) -> LinkFault | None:
-    """Why the router of ``host`` and ours cannot be linked. None: TLS is not the reason, or nobody answers there."""
+    """Why the router of ``host`` and ours cannot be linked. None: TLS is not the reason, or no router answers there."""
     own = own_fault(files)
     if own is not None:
         return own
@@ -77,7 +77,7 @@ def link_fault(files: OwnFiles, host: str, address: str, port: int) -> LinkFault
     except ssl.SSLError as error:
         return _refused(files.name, host, error.reason or "")
     except OSError:
-        return None  # nobody answers, or it waits for us to speak first: then it has taken our certificate
+        return None  # no answer, or it waits for our first data: then it has accepted our certificate
     return None
 
 
@@ -96,7 +96,7 @@ def _their_certificate(host: str, address: str, error: ssl.SSLCertVerificationEr
 
 def _refused(own: str, host: str, alert: str) -> LinkFault | None:
     if "ALERT" not in alert:
-        return None  # what answers there speaks no TLS
+        return None  # the other end does not use TLS
     said = alert.rpartition("ALERT_")[2].replace("_", " ").lower()
     if said == "certificate expired":
         why = f"clock of {host} is wrong: to it the certificate of {own}, which is in date, is out of date"

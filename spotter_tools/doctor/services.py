@@ -24,7 +24,7 @@ LOOKS = tuple(EXAMPLES)  # services with the subcommand `look`
 
 
 def check_services(processes: list[Child], site: Site, running: Collection[str] = ()) -> Iterator[Finding]:
-    """Every service reads its configuration, has a source, and its sensor speaks.
+    """Every service reads its configuration, has a source, and its sensor delivers data.
 
     A device whose service is among ``running`` is left to it: two readers of one sensor take each other's bytes.
     """
@@ -67,7 +67,7 @@ def _check_service(child: Child, site: Site, is_running: bool) -> Iterator[Findi
 
 
 def _configuration(child: Child) -> dict[str, Any] | Finding:
-    """What the service would run with, or why it does not say so."""
+    """The effective configuration of the service, or the error."""
     check = f"{child.name} config"
     try:
         shown = subprocess.run(
@@ -86,7 +86,7 @@ def _configuration(child: Child) -> dict[str, Any] | Finding:
 
 
 def check_outputs(outputs: list[str]) -> Iterator[Finding]:
-    """The gate has something to act on, and the device and the library behind it are there."""
+    """The gate has an actuator, and its device and library are present."""
     if not outputs:
         do = 'outputs = ["serial:/dev/ttyACM0"] in gate.toml'
         yield warning("gate outputs", "none: nothing acts on the permission", do)

@@ -1,4 +1,4 @@
-"""A network cable that takes its time, for kernels without netem: two TAP devices, each frame is passed on late.
+"""A link with delay, for kernels without netem: two TAP devices, each frame is passed on late.
 
     python -m spotter_tools.drill.delayed_link slow-a slow-b 0.1        # needs root; prints "ready" once it relays
 
@@ -25,7 +25,7 @@ def open_tap(name: str) -> int:
     """A file descriptor that reads and writes the Ethernet frames of a TAP device.
 
     Raises:
-        OSError: not permitted, or somebody has this device already.
+        OSError: not permitted, or the device is in use.
     """
     device = os.open("/dev/net/tun", os.O_RDWR)
     fcntl.ioctl(device, _TUNSETIFF, struct.pack("16sH14x", name.encode(), _IFF_TAP | _IFF_NO_PI))
@@ -33,7 +33,7 @@ def open_tap(name: str) -> int:
 
 
 def relay(one: int, other: int, delay_s: float) -> NoReturn:
-    """Pass frames both ways, each ``delay_s`` after it came. One delay for all: first come, first gone."""
+    """Pass frames both ways, each ``delay_s`` after it came, in order."""
     waiting: deque[tuple[float, int, bytes]] = deque()
     leads_to = {one: other, other: one}
     while True:

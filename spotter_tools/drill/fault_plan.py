@@ -1,4 +1,4 @@
-"""What a drill file may say: faults, what health and verdict have to be then, and within which time."""
+"""The drill file: faults, the health and verdict expected for each, and the time limits."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Fault(Section, frozen=True, kw_only=True):
 
 
 class Expected(Section, frozen=True, kw_only=True):
-    """What has to be so; whatever is left out does not matter. The verdict has to name the same states as health."""
+    """The expected state; fields left out are not checked. The verdict has to name the same states as health."""
 
     health: dict[str, SensorState] = msgspec.field(default_factory=dict)
     cause: dict[str, str] = msgspec.field(default_factory=dict)
@@ -59,8 +59,8 @@ class Expected(Section, frozen=True, kw_only=True):
     rule: tuple[str, ...] = ()
     permission: tuple[str, ...] = ()
     blind: bool | None = None
-    unused: tuple[str, ...] = ()  # sensors whose word of now the verdict does not use; an alarm of theirs may be held
-    silent: bool = False  # no verdict comes any more: older than its age limit, so everybody has to stop
+    unused: tuple[str, ...] = ()  # sensors whose present data the verdict does not use; a held alarm is allowed
+    silent: bool = False  # no more verdicts: the last exceeds its age limit, so the actuator has to stop
 
     def health_fits(self, health: SystemHealth) -> bool:
         """Whether this health says all that is expected of it."""

@@ -1,4 +1,4 @@
-"""A TCP relay on loopback that can be slow, or cut: it stays open and carries nothing, as a pulled cable."""
+"""A TCP relay on loopback that can be slow or cut: when cut, connections stay open and carry nothing."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ class LinkProxy:
         return f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
 
     def cut(self) -> None:
-        """Carry nothing from now on, and close nothing: as a pulled cable."""
+        """Carry nothing from now on, and close nothing, like a pulled cable."""
         self._open.clear()
 
     def slow(self, delay_s: float) -> None:
-        """Carry everything this much later, each way."""
+        """Delay everything by this time, each way."""
         self._delay_s = delay_s
 
     def heal(self) -> None:
-        """Carry everything again, at once, what piled up first."""
+        """Carry everything again without delay, queued data first."""
         self._delay_s = 0.0
         self._open.set()
 

@@ -1,4 +1,4 @@
-"""Follows verdict and health during a drill, with the monotonic time of every arrival."""
+"""Records verdict and health during a drill, with the monotonic time of every arrival."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Watch:
 
 
 def broken_rules(verdict: Verdict, onboard: tuple[str, ...] = ONBOARD_SENSORS) -> list[str]:
-    """What holds for every verdict whatever is broken: never SAFE with two out, no IMMINENT lowered, blind stops."""
+    """Rules for every verdict under any fault: never SAFE with two sensors out, no IMMINENT lowered, blind stops."""
     inputs = verdict.inputs
     out = [name for name in onboard if name not in inputs or inputs[name].state != "online"]
     problems = []

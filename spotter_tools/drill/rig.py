@@ -1,4 +1,4 @@
-"""The system under drill: a router, the services of the demo as processes, a link that can be cut before each."""
+"""The system under test: a router, the services of the demo as processes, each behind a link that can be cut."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ ROUTER = "router"
 class System(Protocol):
     """What a drill can be run against."""
 
-    actuator: EmulatedActuator | None  # behind the gate; None where nobody can look at it
+    actuator: EmulatedActuator | None  # behind the gate; None if it is not observable
 
     def can(self, fault: Fault) -> bool:
         """Whether this fault is possible here."""
@@ -270,7 +270,7 @@ class Running:
         return monotonic_s()
 
     def heal(self, fault: Fault) -> None:
-        """A frozen process goes on; a killed one is its supervisor's business."""
+        """Continue a frozen process; a killed one is restarted by its supervisor."""
         pid = self._frozen.pop(fault.service, None)
         if pid is not None:
             with suppress(ProcessLookupError):

@@ -73,7 +73,7 @@ def pedestrian_crossing(
 
 
 def pedestrian_along(speed_mps: float, walks_mps: float, preset: str = "model") -> Case:
-    """CPLA: somebody walks ahead of us in our direction, or stands with the back to us."""
+    """CPLA: a pedestrian walks ahead of us in our direction, or stands with the back to us."""
     motion = Straight((0.15 - walks_mps * MEETS_S, 0.05), 0.0, walks_mps) if walks_mps else Standing(0.15, 0.05)
     cast = [Player(_OTHER, "pedestrian", motion)]
     name = f"pedestrian along, {speed_mps:g} m/s, walks {walks_mps:g} m/s"
@@ -144,7 +144,7 @@ def turning_across(speed_mps: float, preset: str = "model") -> Case:
 
 
 def round_the_bend(speed_mps: float, preset: str = "model") -> Case:
-    """Somebody stands in our lane in a left-hand bend of 5 m radius."""
+    """A pedestrian stands in our lane in a left-hand bend of 5 m radius."""
     radius_m, turn = 5.0, 0.9  # it stands so many radians into the bend
     half_m = 0.5 * PRESETS[preset].chassis.size_m[0]
     vehicle = IntoBend(radius_m, speed_mps, turn * radius_m - half_m - speed_mps * MEETS_S)

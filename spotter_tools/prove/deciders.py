@@ -18,7 +18,7 @@ CLOCK_PERIOD_S = 0.5
 
 
 class Decider(Protocol):
-    """Takes messages as they arrive and says what they mean."""
+    """Takes messages as they arrive and gives verdicts."""
 
     def take(self, arrival: Arrival) -> None:
         """A message has come."""
@@ -56,7 +56,7 @@ class Spotter:
 
 
 class Article:
-    """The article's rules on the same messages; of the vehicle's motion they know nothing."""
+    """The article's rules on the same messages; they do not use the vehicle's motion."""
 
     def __init__(self, configs: Configs) -> None:
         self._rules = PlainRules()

@@ -1,4 +1,4 @@
-"""Cases in which nothing is ever in the way: whatever alarms, and whatever brakes, is false."""
+"""Cases in which nothing is ever in the way: every alarm and every braking is false."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def passage(speed_mps: float, preset: str = "model") -> Case:
 
 
 def oncoming(speed_mps: float, kind: str, preset: str = "model") -> Case:
-    """Somebody comes the other way and passes beside."""
+    """A pedestrian comes from ahead and passes beside."""
     half_m, comes_mps = (0.9, 2.0) if kind == "car" else (0.3, 2.5)
     y = _beside(preset, _BESIDE_M, half_m)
     cast = [Player(1, kind, Straight((comes_mps * MEETS_S, y), math.pi, comes_mps))]
@@ -86,14 +86,14 @@ def overtaken(speed_mps: float, preset: str = "model") -> Case:
 
 
 def waiting(speed_mps: float, preset: str = "model") -> Case:
-    """Somebody waits at the kerb."""
+    """A pedestrian waits at the kerb."""
     cast = [Player(1, "pedestrian", Standing(-1.0, -_beside(preset, _BESIDE_M, 0.3), 1.57))]
     name = f"waiting at the kerb, {speed_mps:g} m/s"
     return _case(name, straight_on(speed_mps, preset), street(27), cast, preset)
 
 
 def crossing_far(speed_mps: float, preset: str = "model") -> Case:
-    """Somebody crosses far ahead and has left the way long before we come: 3 s ahead of us at the least."""
+    """A pedestrian crosses far ahead and has left the path at least 3 s before the vehicle arrives."""
     begins_s = BEGINS_S + 0.2
     cast = [Player(1, "pedestrian", walk((4.0, -2.6), (4.0, 0.0), 1.5, begins_s))]
     name = f"crossing far ahead, {speed_mps:g} m/s"

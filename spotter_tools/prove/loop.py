@@ -170,6 +170,6 @@ class _Loop:
 
 
 def closing_mps(gaps: list[tuple[float, float]]) -> float:
-    """How fast the gap shrank before the contact, from (time, gap): the closing speed of the two, whoever moved."""
+    """How fast the gap shrank before the contact, from (time, gap): the closing speed of the two, whichever moved."""
     (first_s, first_m), (last_s, last_m) = gaps[-4:][0], gaps[-1]
     return max(0.0, (first_m - last_m) / (last_s - first_s)) if last_s > first_s else 0.0

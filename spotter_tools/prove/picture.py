@@ -1,4 +1,4 @@
-"""A failed drive as one picture that explains itself: where everybody was, and what was known when."""
+"""Draws a failed drive: the positions over time, and the speed, limit, gap and states over time."""
 
 from __future__ import annotations
 

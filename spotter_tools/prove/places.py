@@ -52,7 +52,7 @@ def _place(fixtures: list[Solids], more: tuple[Solids, ...]) -> Scene:
 
 
 def straight_on(speed_mps: float, preset: str = "model") -> Straight:
-    """Our vehicle, at one speed for ever."""
+    """Our vehicle at constant speed."""
     half_m = 0.5 * PRESETS[preset].chassis.size_m[0]
     return Straight((-half_m - speed_mps * MEETS_S, 0.0), 0.0, speed_mps, math.inf)
 

@@ -61,7 +61,7 @@ class Senses:
         self._detector = SimulatedDetector()
         self._camera = CameraPipeline(configs.camera, self._detector)
         self._ego = ego
-        self._motion_now: Motion | None = None  # as told last; None = nobody tells
+        self._motion_now: Motion | None = None  # the last one reported; None = unknown
         self._lidar_until_s = 0.0
         self._seq: dict[str, int] = {}
 

@@ -70,7 +70,7 @@ def outcome(result: Result, who: str) -> Outcome:
 
 
 def _avoided(chosen: list[Result], who: str) -> str:
-    """How many were avoided, how hard the rest was, and how many of those had been slowed before anybody could know."""
+    """How many were avoided, how hard the rest was, and how many of those were slowed in advance."""
     hits = [outcome(one, who) for one in chosen if outcome(one, who).collided]
     text = f"{len(chosen) - len(hits)} ({1 - len(hits) / len(chosen):.0%})"
     if not hits:

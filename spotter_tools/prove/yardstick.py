@@ -1,7 +1,7 @@
 """What physics allows: the unbraked drive, and that of a perfect sensor which brakes 0.1 s after it can know.
 
 The perfect sensor looks from the camera's place, in all directions, through nothing that is opaque; it measures
-positions and velocities without error and expects everybody to go on as they do. It brakes as hard as the vehicle can
+positions and velocities without error and expects everyone to go on as they do. It brakes as hard as the vehicle can
 as soon as that ends in a contact within the time that it needs to stop and ``MARGIN_S``. A case that even it hits is
 not one that can be avoided.
 """

@@ -20,12 +20,12 @@ ALARM_RULES = frozenset({"R1-worst-case", "R3-confirmed", "R5-camera-stands-in",
 
 @dataclass
 class Outcome:
-    """Of one world. ``first`` tells the first thing that was wrong."""
+    """Of one world. ``first`` is the first fault."""
 
     seed: int
     steps: int = 0
     unsafe: int = 0  # verdicts SAFE close to a body that was reported and not seen gone
-    outlived: int = 0  # verdicts that alarm although everybody has seen everything gone
+    outlived: int = 0  # verdicts that alarm although all sensors see that everything is gone
     errors: int = 0
     worst_changes: int = 0  # of level and permission in a second of steady input
     alarmed_s: float = 0.0
@@ -39,7 +39,7 @@ class Outcome:
 
 @dataclass
 class Known:
-    """What one sensor has told fusion of one body."""
+    """The messages of one sensor to fusion about one body."""
 
     reported: bool = False
     without: int = 0  # messages in a row, online, that did not show it at alarm level

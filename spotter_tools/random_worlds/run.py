@@ -27,7 +27,7 @@ MISSED = 0.3  # share of a body's pictures in which the detector misses it
 
 
 class World:
-    """Bodies, vehicle, sensors, faults, and fusion's pipeline that hears of them."""
+    """Bodies, vehicle, sensors, faults, and fusion's pipeline that gets their messages."""
 
     def __init__(self, seed: int, seconds: float, config: FusionConfig) -> None:
         self.dice = random.Random(seed)
@@ -170,7 +170,7 @@ class World:
 
 
 def run(seed: int, seconds: float = 60.0, config: FusionConfig | None = None) -> Outcome:
-    """The outcome of one world; an exception is counted and told, not raised."""
+    """The outcome of one world; an exception is counted and reported, not raised."""
     world = World(seed, seconds, config or FusionConfig())
     try:
         while world.now_s < seconds:

@@ -1,4 +1,4 @@
-"""Our bus on one side, a ROS domain on the other. What nobody in ROS listens to is not even subscribed to."""
+"""Our bus on one side, a ROS domain on the other. Topics without a ROS subscriber are not subscribed to on the bus."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from spotter_tools.ros2.table import LATCHED, TF_STATIC, Row
 from spotter_tools.ros2.transforms import TF, sensor_transform
 
 RING = 8
-LOOK_S = 0.2  # how often it is looked whether somebody listens
+LOOK_S = 0.2  # how often subscribers are looked for
 STATIC_EVERY = 5  # looks: transforms of the sensors are said again, for tools that keep none
 INFO_TIMEOUT_S = 1.0
 
@@ -126,7 +126,7 @@ class Bridge:
             self._transforms[service] = sensor_transform(service, info.config, utc_ns())
 
     def _look(self, line: Line) -> None:
-        """Subscribe on the bus while somebody in ROS listens."""
+        """Subscribe on the bus while there is a ROS subscriber."""
         if line.publish.wanted and line.subscriber is None:
             line.subscriber = self._session.declare_subscriber(line.key, zenoh.handlers.RingChannel(RING))
             threading.Thread(target=self._fill, args=(line, line.subscriber), name=line.name, daemon=True).start()

@@ -54,7 +54,7 @@ ROWS = (
     Row(topics.FUSION_VERDICT, "verdict", verdicts.VERDICT, verdicts.verdict, says_itself=True),
     Row(topics.FUSION_HEALTH, DIAGNOSTICS, verdicts.DIAGNOSTICS, verdicts.diagnostics, says_itself=True),
 )
-# Asked for by options: they speak in a namespace that a ROS system has of its own.
+# Only with an option: they use a namespace that belongs to the ROS system.
 AUTOWARE_ROW = Row(
     topics.INFRA_TRACKS, OBJECTS_OF_AUTOWARE, tracked_objects.TRACKED_OBJECTS, tracked_objects.tracked_objects_on_map
 )

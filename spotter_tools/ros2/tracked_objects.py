@@ -13,7 +13,7 @@ from common.ros2.types import build, header
 from spotter_tools.ros2.geometry import MAP, FrameError, pose, vector
 
 TRACKED_OBJECTS = "autoware_perception_msgs/msg/TrackedObjects"
-# autoware_perception_msgs/ObjectClassification; a large vehicle is a lorry or a bus, and that is not told apart.
+# autoware_perception_msgs/ObjectClassification; a large vehicle is a lorry or a bus; which one is unknown.
 LABELS = {"car": 1, "large_vehicle": 2, "cyclist": 6, "pedestrian": 7, "unknown": 0, "background": 0}
 SIGN_UNKNOWN, AVAILABLE = 1, 2  # of an orientation
 BOUNDING_BOX = 0

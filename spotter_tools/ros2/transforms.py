@@ -27,7 +27,7 @@ def vehicle_transform(message: m.EgoMotion, host: str) -> Any | None:
 def sensor_transform(service: str, config: Mapping[str, Any], stamp_ns: int) -> Any | None:
     """base_link to a sensor of the vehicle, from the configuration that its service tells.
 
-    None for other services, and for a program of somebody else whose configuration does not say it. The lidar's angles
+    None for other services, and for a program of another maker without this configuration. The lidar's angles
     are the vehicle's already, so its frame is not turned.
     """
     try:

@@ -11,7 +11,7 @@ from common.topics import spoken
 from spotter_tools.ros2.geometry import VEHICLE
 
 VERDICT, DIAGNOSTICS = "spotter_msgs/msg/Verdict", "diagnostic_msgs/msg/DiagnosticArray"
-LEVELS = {"SAFE": 1, "CAUTION": 2, "IMMINENT": 3}  # 0 is a message that nobody filled in
+LEVELS = {"SAFE": 1, "CAUTION": 2, "IMMINENT": 3}  # 0: the field was not filled in
 PERMISSIONS = {"STOP": 0, "SLOW": 1, "GO": 2}
 OK, WARN, ERROR = 0, 1, 2
 STATES = {"online": OK, "degraded": WARN, "disconnected": ERROR}

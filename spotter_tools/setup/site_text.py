@@ -51,7 +51,7 @@ def with_value(text: str, section: str, key: str, value: str | bool | list[str])
 
     Only tables that are written as ``[a.b.c]`` headers are understood; the caller reads the result back.
     """
-    literal = json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML wants that one escaped too
+    literal = json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML requires it
     line = f"{key} = {literal}"
     lines = text.splitlines()
     begin = _header(lines, section)
