@@ -1,7 +1,7 @@
 """Recordings of packets: pcap and pcapng captures. Streams in, datagrams out.
 
-The container is read by dpkt; from the link layer on it is done here, because captures of lidars come over VLANs, from
-``-i any`` (Linux cooked) and in IP fragments.
+A pcap is read by dpkt, a pcapng by ``pcapng``; from the link layer on it is done here, because captures of lidars come
+over VLANs, from ``-i any`` (Linux cooked) and in IP fragments.
 """
 
 from __future__ import annotations
@@ -10,12 +10,15 @@ import gzip
 import logging
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from ipaddress import ip_address
 from typing import BinaryIO, cast
 
 import dpkt
+
+from services.infra_lidar.input.pcapng import MAGIC, PcapngReader, Record
 
 log = logging.getLogger(__name__)
 
@@ -47,44 +50,94 @@ class Datagram:
 def read_capture(stream: BinaryIO) -> Iterator[Datagram]:
     """UDP over IPv4 or IPv6 in a pcap or pcapng file, gzipped or not; fragments are joined.
 
-    What follows damaged bytes, or a cut, is left out, and the log says so. The stream is read as the datagrams are
-    taken, so memory does not grow with it.
+    What follows damaged bytes, or a cut, is left out, and so are packets that cannot be used; the log says so. The
+    stream is read as the datagrams are taken, so memory does not grow with it.
 
     Raises:
-        CaptureError: no capture, damaged at its very beginning, or of an unknown link layer.
+        CaptureError: no capture, damaged at its very beginning, or none of its packets can be used.
     """
+    name = str(getattr(stream, "name", "capture"))
     try:
         if stream.read(2) == b"\x1f\x8b":
             stream.seek(0)
             stream = cast(BinaryIO, gzip.GzipFile(fileobj=stream))
         stream.seek(0)
-        reader = dpkt.pcap.UniversalReader(stream)
+        reader = _reader(stream)
     except _DAMAGE as error:
         raise CaptureError(f"no pcap or pcapng capture, or a damaged one ({_words(error)})") from None
-    link = reader.datalink()
-    if link not in _ETHER_TYPE_AT and link not in _BARE_IP_AT:
-        raise CaptureError(f"link layer {link} is not known")
-    fragments = Fragments()
-    for stamp_s, frame in _records(reader, str(getattr(stream, "name", "capture"))):
-        stamp_ns = round(stamp_s * 1_000_000_000)
-        datagram = _udp(_network_packet(link, frame), fragments, stamp_ns)
+    if not isinstance(reader, PcapngReader) and not _is_known(_link(reader)):
+        raise CaptureError(f"link layer {_link(reader)} is not known")
+    fragments, left_out, used = Fragments(), _LeftOut(), False
+    for link, stamp_ns, frame in _records(reader, name):
+        if not _is_known(link):
+            left_out.links[link] += 1
+            continue
+        packet = _network_packet(link, frame)
+        if _is_cut(packet):
+            left_out.cut += 1
+            continue
+        datagram = _udp(packet, fragments, stamp_ns)
         if datagram is not None:
+            used = True
             yield Datagram(stamp_ns, *datagram)
+    left_out.unstamped = reader.unstamped if isinstance(reader, PcapngReader) else 0
+    if why := str(left_out):
+        if not used and not left_out.cut:
+            raise CaptureError(why)
+        log.warning("%s: left out: %s", name, why)
 
 
-def _records(reader: dpkt.pcap.Reader, name: str) -> Iterator[tuple[float, bytes]]:
+@dataclass
+class _LeftOut:
+    """Packets of a capture that cannot be used: by their link layer, with a part only, without a stamp."""
+
+    links: Counter[int] = field(default_factory=Counter)
+    cut: int = 0
+    unstamped: int = 0
+
+    def __str__(self) -> str:
+        told = [f"{count} packets: link layer {link} is not known" for link, count in self.links.items()]
+        if self.cut:
+            told.append(
+                f"{self.cut} UDP packets are cut, by the capture's snap length (tcpdump -s 0 records whole ones) or at the "
+                f"end of the file"
+            )
+        if self.unstamped:
+            told.append(
+                f"{self.unstamped} packets have no stamp (pcapng simple packet blocks); record them with stamps"
+            )
+        return "; ".join(told)
+
+
+def _reader(stream: BinaryIO) -> PcapngReader | dpkt.pcap.Reader:
+    """For the container that the first bytes tell."""
+    magic = stream.read(len(MAGIC))
+    stream.seek(0)
+    return PcapngReader(stream) if magic == MAGIC else dpkt.pcap.Reader(stream)
+
+
+def _link(reader: dpkt.pcap.Reader) -> int:
+    return int(reader.datalink()) & 0xFFFF  # above are the bits of the frame check sequence
+
+
+def _is_known(link: int) -> bool:
+    return link in _ETHER_TYPE_AT or link in _BARE_IP_AT
+
+
+def _pcap_records(reader: dpkt.pcap.Reader) -> Iterator[Record]:
+    for stamp_s, frame in reader:
+        yield Record(_link(reader), round(stamp_s * 1_000_000_000), frame)
+
+
+def _records(reader: PcapngReader | dpkt.pcap.Reader, name: str) -> Iterator[Record]:
     """What the container holds, up to where it is cut or damaged."""
-    records, count = iter(reader), 0
-    while True:
-        try:
-            record = next(records)
-        except StopIteration:
-            return
-        except _DAMAGE as error:
-            log.warning("%s: cut or damaged behind packet %d (%s); the rest is left out", name, count, _words(error))
-            return
-        count += 1
-        yield record
+    count = 0
+    try:
+        for record in reader if isinstance(reader, PcapngReader) else _pcap_records(reader):
+            count += 1
+            yield record
+    except _DAMAGE as error:
+        log.warning("%s: cut or damaged behind packet %d (%s); the rest is left out", name, count, _words(error))
 
 
 def _words(error: Exception) -> str:
@@ -102,6 +155,16 @@ def _network_packet(link: int, frame: bytes) -> bytes:
         ether_type = int.from_bytes(frame[at + 2 : at + 4], "big")
         at += 4
     return frame[at:] if ether_type in (0x0800, 0x86DD) else b""
+
+
+def _is_cut(packet: bytes) -> bool:
+    """Whether the capture holds less of an IP packet of UDP than its header says."""
+    version = packet[0] >> 4 if packet else 0
+    if version == 4 and len(packet) >= 20:
+        return packet[9] == _UDP and int.from_bytes(packet[2:4], "big") > len(packet)
+    if version == 6 and len(packet) >= 40:
+        return packet[6] in (_UDP, _IPV6_FRAGMENT) and 40 + int.from_bytes(packet[4:6], "big") > len(packet)
+    return False
 
 
 class _Parts:

@@ -85,7 +85,7 @@ ZIPPED = gzip.compress(pcap(*[ethernet(ipv4(bytes([k, 91 * k % 256, 57 * k % 256
         (ZIPPED[:30], r"damaged one \(Compressed file ended"),
         (b"\x1f\x8bjunk of some length", r"damaged one \(Unknown compression method"),
         (ZIPPED[:10] + b"\xff" * 40, r"damaged one \(Error -3 while decompressing"),
-        (pcapng(FIRST)[:8], r"damaged one \(got 8, 24 needed"),
+        (pcapng(FIRST)[:8], r"damaged one \(no whole pcapng block"),
     ],
     ids=["cut in the head", "cut in the data", "junk", "damaged data", "pcapng cut"],
 )
