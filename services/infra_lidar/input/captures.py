@@ -99,8 +99,8 @@ class _LeftOut:
         told = [f"{count} packets: link layer {link} is not known" for link, count in self.links.items()]
         if self.cut:
             told.append(
-                f"{self.cut} UDP packets are cut, by the capture's snap length (tcpdump -s 0 records whole ones) or at the "
-                f"end of the file"
+                f"{self.cut} UDP packets are cut, by the capture's snap length (tcpdump -s 0 records whole ones) or at "
+                f"the end of the file"
             )
         if self.unstamped:
             told.append(
