@@ -23,7 +23,7 @@ MEDIA_TYPE = "application/msgpack"
 MAX_PAYLOAD_BYTES = 16_000_000
 ALLOWED_DTYPES = frozenset({"|u1", "|i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f4", "<f8"})
 
-REQUIRED_ON_WIRE = frozenset({"stamp_ns", "seq", "frame_id"})  # defaults are for the one who builds it
+REQUIRED_ON_WIRE = frozenset({"stamp_ns", "seq", "frame_id"})  # defaults are for building messages only
 
 M = TypeVar("M", bound=Message)
 

@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, in words for the person who wrote it: section, key, value, what is allowed."""
+"""Error texts for a configuration: section, key, value, and what is allowed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the site's map lies on the Earth: map coordinates to WGS84 latitude, longitude and height. Pure.
+"""Position of the site's map on the Earth: map coordinates to WGS84 latitude, longitude and height. Pure.
 
 By way of the Earth-centred frame (EPSG Guidance Note 7-2, methods 9602 and 9837), without a projection: exact wherever
 the map's plane is the plane that touches the ellipsoid at the origin.

@@ -72,7 +72,7 @@ class Message(msgspec.Struct, kw_only=True):
 
 
 class SensorMessage(Message, kw_only=True):
-    """A sensor's data together with the sensor's own word on whether it can see."""
+    """A sensor's data with the sensor's own state: whether it can see."""
 
     state: SelfReport = "online"
     reason: Text = ""  # why it is degraded; for a person

@@ -21,7 +21,7 @@ from common.message_types import Motion
 STRAIGHT_PER_M = 1e-6  # a smaller curvature is a straight line
 TIGHTEST_PER_M = 4.0  # a greater one turns on the spot
 STEP_S = 0.025  # of the look ahead in time
-YAW_UNKNOWN_RADPS = 0.2  # standard deviation when nobody measures the yaw rate: a gentle curve is possible
+YAW_UNKNOWN_RADPS = 0.2  # standard deviation if the yaw rate is not measured: a gentle curve is possible
 
 Metres = Annotated[float, Meta(gt=0.0, le=50.0)]
 NotNegative = Annotated[float, Meta(ge=0.0, le=50.0)]
@@ -82,7 +82,7 @@ def safe_speed_mps(free_m: float, config: PathConfig) -> float:
 
 
 class Path:
-    """The strip that the vehicle's outline sweeps if it goes on like this."""
+    """The strip that the vehicle's outline sweeps if it keeps its motion."""
 
     def __init__(self, config: PathConfig, motion: Motion | None = None) -> None:
         """``motion`` None: straight ahead, as for a vehicle of which nothing is known."""
@@ -164,7 +164,7 @@ class Path:
     ) -> float | None:
         """Seconds until the outline, widened by the side margin and ``sigmas`` of the uncertainty, holds the point.
 
-        The uncertainty widens it by ``widest_m`` at the most: what is hardly known is not everywhere.
+        The uncertainty widens it by ``widest_m`` at the most: a poorly known object must not fill the whole plane.
 
         Both keep their velocities. Only sideways uncertainty widens it: a range that is not known well must not move
         the moment of contact. None = not within the horizon; 0 = it is inside already.

@@ -1,4 +1,4 @@
-"""Work that a loop does once per period, however often the loop itself goes round."""
+"""Work that a loop does once per period, independent of how often the loop runs."""
 
 from __future__ import annotations
 

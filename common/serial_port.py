@@ -1,4 +1,4 @@
-"""What is wrong with a serial port, in words that say what to do."""
+"""Error texts for a serial port, with what to do."""
 
 from __future__ import annotations
 

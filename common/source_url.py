@@ -1,6 +1,6 @@
 """Sources are URLs: ``sim:crossing?t0=3``, ``serial:/dev/ttyTHS1``, ``file:recordings/a.pcap?rate=2&loop=1``.
 
-Live and recorded data come through the same door; each service's ``source.py`` opens the schemes it knows.
+Live and recorded data are opened in the same way; each service's ``source.py`` opens the schemes it knows.
 """
 
 from __future__ import annotations
@@ -77,9 +77,9 @@ def source_kind(source: str) -> SourceKind:
     if " + " in source:
         return least_live(source_kind(one) for one in source.split(" + "))
     scheme, _, rest = source.partition(":")
-    if scheme == "ros2":  # a topic does not tell: a simulator's and a played bag's look like a driver's
-        told = dict(parse_qsl(rest.partition("?")[2])).get("kind", "live")
-        return next((kind for kind in SOURCE_KINDS if kind == told), "unknown")
+    if scheme == "ros2":  # not visible in a topic: a simulator's and a played bag's look like a driver's
+        given = dict(parse_qsl(rest.partition("?")[2])).get("kind", "live")
+        return next((kind for kind in SOURCE_KINDS if kind == given), "unknown")
     if rest.removeprefix("//").partition("?")[0] == _EMULATOR:
         return "emulated"
     return _KIND_OF_SCHEME.get(scheme, "unknown")

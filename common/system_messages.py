@@ -39,7 +39,7 @@ class VerdictInput(msgspec.Struct, kw_only=True):
 
 
 class VerdictClaim(msgspec.Struct, kw_only=True):
-    """An alarm about a place, in the vehicle's frame, that nobody has seen free yet; None = somewhere ahead."""
+    """An alarm about a place, in the vehicle's frame, that no sensor has seen free yet; None = somewhere ahead."""
 
     by: Name  # the sensor that raised it
     level: Level
@@ -132,7 +132,7 @@ class SensorHealth(msgspec.Struct, kw_only=True):
 
 
 class ServiceHealth(msgspec.Struct, kw_only=True):
-    """Whether a process is there, by its liveliness tokens, and what it says of itself."""
+    """Whether a process is there, by its liveliness tokens, and its own status."""
 
     alive: bool
     instances: Count
@@ -166,7 +166,7 @@ class SystemHealth(Message, kw_only=True):
 
 
 class ServiceStatus(Message, kw_only=True):
-    """What a service says of itself every second: its state, and what it counted since it began."""
+    """The status of a service, every second: its state, and what it counted since it began."""
 
     state: ServiceState
     reason: Text

@@ -20,8 +20,8 @@ Role = Literal["onboard", "roadside"]
 class Topic:
     """One row of the table.
 
-    ``age_limit_s`` is the age at which a reader has to call the data stale (None: nobody decides on it).
-    ``on_demand`` topics are published only while somebody listens.
+    ``age_limit_s`` is the age at which a reader has to call the data stale (None: no decision depends on it).
+    ``on_demand`` topics are published only while there is a subscriber.
     ``role`` marks the one topic of each sensor that fusion decides on, and where the sensor is: on the vehicle or
     beside the road. Such a topic needs an age limit.
     """
@@ -148,7 +148,7 @@ def spoken(sensor: str) -> str:
     return _SPOKEN_NAMES.get(sensor, sensor.replace("_", " "))
 
 
-# Bytes as a device sent them, for recordings that are to be processed again; only while somebody listens.
+# Bytes as a device sent them, for recordings that are to be processed again; only while there is a subscriber.
 # The small streams have a queue of their own: a picture that is late must not cost a byte of the lidar. They come in
 # bursts, of which block_first would take the first only.
 def _raw(service: str, priority: Priority, congestion: Congestion) -> Topic:
@@ -176,7 +176,7 @@ class Command:
 
 
 COMMANDS: tuple[Command, ...] = (
-    Command("fusion", "acknowledge", from_afar=False),  # ends alarms: by somebody who stands at the vehicle
+    Command("fusion", "acknowledge", from_afar=False),  # ends alarms: only for a person at the vehicle
     Command("infra_lidar", "recalibrate", from_afar=False),  # the sensor sees nothing until it has found the road
     Command("gate", "acknowledge", from_afar=False),  # a person beside the vehicle says that it may move again
     Command("blackbox", "incidents", from_afar=True),

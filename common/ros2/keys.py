@@ -95,7 +95,7 @@ SENSOR_DATA = Qos(reliable=False, depth=5)
 
 @dataclass(frozen=True)
 class Entity:
-    """Something in the graph of ROS 2, as its token tells. ``topic``, ``type_``, ``hash_``: "" of a node."""
+    """An entity in the graph of ROS 2, read from its token. ``topic``, ``type_``, ``hash_``: "" of a node."""
 
     domain: int
     session: str
@@ -125,7 +125,7 @@ class Entity:
 
 
 def entity_of(token: str) -> Entity | None:
-    """What a liveliness token tells; None if it is none of ROS 2. What a later release appends is left out."""
+    """Parse a liveliness token; None if it is not from ROS 2. Additional fields are ignored."""
     parts = token.split("/")
     if (
         parts[0] != ADMIN_SPACE

@@ -35,7 +35,7 @@ class Node:
         self._tokens = [session.liveliness().declare_token(str(node))]
 
     def announce(self, kind: Any, topic: str, type_: str, qos: Qos) -> None:
-        """Say that this node publishes ("MP") or listens to ("MS") a topic."""
+        """Declare the token for a topic that this node publishes ("MP") or subscribes to ("MS")."""
         with self._lock:
             self._entities += 1
             entity = Entity(
@@ -79,6 +79,6 @@ class RosPublisher:
 
     @property
     def wanted(self) -> bool:
-        """Somebody listens now."""
+        """True while there is a subscriber."""
         status: Any = getattr(self._out, "matching_status", None)  # an advanced publisher does not know
         return status is None or bool(status.matching)

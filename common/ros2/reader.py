@@ -1,6 +1,6 @@
-"""Reads one topic: the messages that are good, and in a sentence why there are none.
+"""Reads one topic: the valid messages, and a sentence on why there are none.
 
-It listens to the topic under every type and hash, so that a wrong one is told apart from silence.
+It subscribes to the topic under every type and hash, to distinguish a wrong type from silence.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ class TopicReader:
                 return arrived
 
     def messages(self, stop: threading.Event | None = None) -> Iterator[Arrived]:
-        """Messages as they come, for ever; while there are none, or none that can be used, the report says why."""
+        """Messages as they come, without end; while there are no valid ones, the report says why."""
         since_s = monotonic_s()
         while not (stop and stop.is_set()):
             arrived = self.next(max(0.0, since_s + SILENCE_S - monotonic_s()))
@@ -118,13 +118,13 @@ class TopicReader:
                 since_s = monotonic_s()
 
     def why_nothing(self) -> str:
-        """A sentence for a person: nobody publishes, another type or definition, a wrong stamp, or silence."""
+        """A sentence for people: no publisher, another type or definition, a wrong stamp, or silence."""
         with self._lock:
             refused = self._refused
         return f"ROS topic {self.topic.name}: {refused or self.graph.why_silent(self.topic, self._hash)}"
 
     def refuse(self, why: str, counted: str = "") -> None:
-        """The newest message could not be used: by this reader, or by whoever took it. "" = it is counted already."""
+        """The newest message could not be used: by this reader, or by its caller. "" = it is counted already."""
         with self._lock:
             if why != self._refused:
                 log.warning("ROS topic %s: %s", self.topic.name, why)

@@ -1,1 +1,1 @@
-"""Who may say what: certificates, names and the access rules made from the topics table."""
+"""Who may publish what: certificates, names and the access rules made from the topics table."""

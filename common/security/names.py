@@ -27,7 +27,7 @@ class Name(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     revoked: tuple[str, ...] = ()  # common names
 
     def common_name(self, name: str) -> str:
-        """What stands in the certificate: the name, and the generation after a new issue."""
+        """The common name in the certificate: the name, and the generation after a new issue."""
         return name if self.generation == 1 else f"{name}.{self.generation}"
 
     def allowed(self, name: str) -> bool:
@@ -41,7 +41,7 @@ class Names(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     names: dict[str, Name] = {}
 
     def allowed(self, kind: Kind) -> dict[str, str]:
-        """Name -> common name of everybody of this kind who is not revoked."""
+        """Name -> common name, of all of this kind that are not revoked."""
         return {n: e.common_name(n) for n, e in self.names.items() if e.kind == kind and e.allowed(n)}
 
     def with_name(self, name: str, entry: Name) -> Names:

@@ -13,7 +13,7 @@ from common.security.names import Names, read_names
 from common.security.rules import access_rules, laptop_recorders
 from common.topics import DATA_TOPICS
 
-# What a laptop may say of its recorder: a status a second has a few hundred bytes.
+# Limit for the recorder status of a laptop: one status per second of a few hundred bytes.
 WORD_HZ = 2.0
 WORD_BYTES = 4096
 

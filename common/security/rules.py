@@ -34,7 +34,7 @@ LISTEN = ["declare_subscriber", "liveliness_query", "declare_liveliness_subscrib
 ASK = ["query"]
 ANSWERED = ("status", "info", "clock")  # by every service
 CHUNK = re.compile(r"[a-z0-9_]+")
-SHADOW = "shadow"  # a candidate under comparison speaks below this chunk, received on its own host only
+SHADOW = "shadow"  # a candidate under comparison publishes under this prefix, received on its own host only
 
 
 @dataclass
@@ -117,7 +117,7 @@ def _grant_hosts(access: _Access, site: Site, host: str, names: Names) -> None:
 
 
 def _grant_laptops(access: _Access, names: Names, recorders: dict[str, str]) -> None:
-    """Laptops by their certificates; ``recorders``: by name, the key on which each may say that it records."""
+    """Laptops by their certificates; ``recorders``: by name, the key for its recorder's status."""
     for name, common_name in sorted(names.allowed("laptop").items()):
         access.allow(f"{name} records", SAY, [recorders[name]] if name in recorders else [], "ingress")
         access.grant(
@@ -145,10 +145,10 @@ def ros_keys(site: Site) -> list[str]:
 
 
 def laptop_recorders(site: Site, names: Names) -> dict[str, str]:
-    """By laptop, the one key that it may say something on: the status of its own recorder.
+    """By laptop, the one key that it may publish on: the status of its own recorder.
 
-    No token: tokens cannot be limited in their rate, and fusion minds every one. A name that is no chunk of a key, or a
-    host's, says nothing.
+    No token: tokens cannot be limited in their rate, and fusion reacts to every one. A laptop whose name is not a valid
+    part of a key, or is a host's name, gets no key.
     """
     laptops = sorted(names.allowed("laptop"))
     return {
