@@ -70,7 +70,10 @@ def _header(data: bytes) -> tuple[str, list[_Element], bytes]:
             is_list = words[1:2] == ["list"]
             if not is_list and (len(words) != 3 or words[1] not in _TYPES):
                 raise FrameError(f"{line.strip()!r} is no property of PLY")
-            elements[-1].properties[words[-1]] = "" if is_list else _TYPES[words[1]]
+            name = words[-1].lower()
+            if name in elements[-1].properties:
+                raise FrameError(f"property {name} twice in element {elements[-1].name}, expected once")
+            elements[-1].properties[name] = "" if is_list else _TYPES[words[1]]
         elif words and words[0] not in ("comment", "obj_info"):
             raise FrameError(f"{line.strip()!r} is no line of a PLY header")
     if form not in _ORDER:

@@ -61,6 +61,13 @@ def test_ply_without_intensity_and_ring() -> None:
     np.testing.assert_array_equal(parse_frame("a.ply", data).points, ROWS[:, :3])
 
 
+def test_ply_in_capitals() -> None:
+    data = ply()
+    for _, name in PROPERTIES:
+        data = data.replace(f" {name}\n".encode(), f" {name.upper()}\n".encode())
+    np.testing.assert_array_equal(parse_frame("a.ply", data).points, ROWS)
+
+
 @pytest.mark.parametrize(
     ("data", "words"),
     [
@@ -77,6 +84,8 @@ def test_ply_without_intensity_and_ring() -> None:
         (ply("ascii").replace(b"1 2 3 40 5\n", b"\n \n"), "the number of columns changed"),
         (ply().replace(b"uchar intensity", b"list uchar int many"), "vertex.many is a list"),
         (ply().replace(b"element vertex", b"element point"), "no element vertex"),
+        (ply().replace(b"float y", b"float x"), "property x twice in element vertex, expected once"),
+        (ply().replace(b"float y", b"float X"), "property x twice in element vertex, expected once"),
         (ply().replace(b"binary_little_endian", b"xml"), "format xml: expected"),
         (ply().replace(b"float x", b"string x"), "'property string x' is no property of PLY"),
         (ply("ascii").replace(b"1 2 3 40 5", b"1 two 3 40 5"), "two"),
