@@ -22,18 +22,16 @@ import numpy as np
 
 from services.infra_lidar.input.las import parse_las
 from services.infra_lidar.input.pcd import MAX_POINTS, FrameError, parse_pcd, point_columns
+from services.infra_lidar.input.plausible import in_metres, with_plausible_columns, wrong_intensity, wrong_ring
 from services.infra_lidar.input.ply import parse_ply
 
 POINTS_OF = {".pcd": parse_pcd, ".ply": parse_ply, ".las": parse_las, ".laz": parse_las}
 FRAME_SUFFIXES = (".npz", ".pcd", ".bin", ".npy", ".ply", ".las", ".laz")
 MODEL_FILE = "background.npz"  # which ``calibration.store`` writes
-ENOUGH_POINTS = 10_000  # to tell how far half of them are
-FARTHEST_MEDIAN_M = 400.0  # half of the points are farther: then these are no metres
 LAYOUTS = {3: ("x", "y", "z"), 4: ("x", "y", "z", "intensity"), 5: ("x", "y", "z", "intensity", "ring")}
-PERIODS = range(3, 9)  # values a row that are looked for in a .bin
-ENOUGH_VALUES = 1000  # fewer do not tell how long the rows are
+PERIODS = range(3, 13)  # values a row that are looked for in a .bin
+FEW_VALUES = 1000  # of so many, rings tell more than sizes
 CLEAR_SHARE = 0.97  # of the best score: a multiple of the period scores as well, a divisor does not
-MAX_INTENSITY = 65535
 NPZ_COLUMNS = ("intensity", "reflectivity", "ring", "range_mm")  # a value for each point
 NPZ_ARRAYS = ("xyz", "xyz_cm", "stamp", *NPZ_COLUMNS)
 # What the readers of numpy and zipfile raise on damaged bytes, as documented and as seen with bytes damaged at random.
@@ -71,7 +69,7 @@ def parse_frame(name: str, data: bytes, columns: tuple[str, ...] = ()) -> FileFr
     try:
         with np.errstate(all="ignore"):  # what is too large for float32 becomes infinite and is left out
             frame = _parse(name, data, columns)
-            return FileFrame(in_metres(frame.points), frame.stamp_s)
+            return FileFrame(with_plausible_columns(in_metres(frame.points)), frame.stamp_s)
     except FrameError as error:
         raise FrameError(f"{name}: {error}") from None
     except (*_DAMAGE, *_DAMAGE_OF_ZIP) as error:
@@ -90,34 +88,6 @@ def _parse(name: str, data: bytes, columns: tuple[str, ...]) -> FileFrame:
             raise FrameError(f"an array of shape {rows.shape}, expected (N, 3..)")
         return FileFrame(_named(rows.astype(np.float32), columns), _stamp_in_name(name))
     return FileFrame(parse_bin(data, columns), _stamp_in_name(name))
-
-
-def in_metres(points: np.ndarray) -> np.ndarray:
-    """The finite points.
-
-    Raises:
-        FrameError: there are none, or they are so far away that they cannot be metres from the sensor.
-    """
-    finite = np.isfinite(points[:, 0] + points[:, 1] + points[:, 2])
-    if not finite.all():
-        points = points[finite]
-    if not len(points):
-        raise FrameError("no points")
-    sample = points[:: len(points) // ENOUGH_POINTS | 1, :3]  # an odd step: so that every beam is among them
-    xyz = sample.astype(float)
-    median_m = _half_within_m(xyz)
-    if median_m > FARTHEST_MEDIAN_M:
-        if 0.0 < _half_within_m(xyz - np.median(xyz, axis=0)) < min(FARTHEST_MEDIAN_M, 0.1 * median_m):
-            raise FrameError(
-                f"the points lie about {median_m:.0f} m away: coordinates of a map? The sensor has to be the origin"
-            )
-        raise FrameError(f"half of the points are farther than {median_m:.0f}: expected metres; are these millimetres?")
-    return points
-
-
-def _half_within_m(xyz: np.ndarray) -> float:
-    """How far from the origin half of the points lie."""
-    return float(np.median(np.linalg.norm(xyz, axis=1)))
 
 
 def parse_bin(data: bytes, columns: tuple[str, ...] = ()) -> np.ndarray:
@@ -141,14 +111,13 @@ def row_length(values: np.ndarray) -> int:
         FrameError: the numbers do not tell.
     """
     possible = [width for width in PERIODS if len(values) % width == 0]
-    if len(values) < ENOUGH_VALUES:
-        usual = [width for width in (5, 4, 3) if width in possible and not _contradiction(values, width)]
-        if usual:
-            return usual[0]
-        raise FrameError(f"{len(values)} float32 values: {_HOW_TO_TELL}")
-    scores = {width: _periodicity(values, width) for width in PERIODS}
-    clear = [width for width in PERIODS if scores[width] >= CLEAR_SHARE * max(scores.values())]
-    width = clear[0]  # its multiples score as well
+    if len(values) < FEW_VALUES and 5 in possible and not _contradiction(values, 5):
+        return 5  # whole numbers in every fifth place: no coordinates would be
+    scores = _periodicities(values)
+    best = max(scores.values(), default=0.0)
+    if best <= 0.0:
+        raise FrameError(f"{len(values)} float32 values do not tell how long the rows are: {_HOW_TO_TELL}")
+    width = next(width for width, score in scores.items() if score >= CLEAR_SHARE * best)  # its multiples score as well
     if width not in possible or width not in LAYOUTS:
         raise FrameError(f"the numbers look like rows of {width}: {_HOW_TO_TELL}")
     return width
@@ -157,25 +126,28 @@ def row_length(values: np.ndarray) -> int:
 _HOW_TO_TELL = "say what the columns are with ?columns=x,y,z,... (others: any name)"
 
 
-def _periodicity(values: np.ndarray, width: int) -> float:
-    """Share of the variance of the numbers' size that their place in a row explains."""
-    size = np.log1p(np.abs(np.nan_to_num(values[: len(values) // width * width].astype(float))))
-    places = size.reshape(-1, width).mean(axis=0)
-    return float(places.var() / max(float(size.var()), 1e-12))
+def _periodicities(values: np.ndarray) -> dict[int, float]:
+    """Share of the variance of the numbers' size that their place in a row explains, for each length of rows.
+
+    What chance would explain is taken off: the longer the rows and the fewer, the more.
+    """
+    size = np.log1p(np.abs(np.nan_to_num(values.astype(float))))
+    scores = {}
+    for width in PERIODS:
+        rows = size[: len(size) // width * width].reshape(-1, width)
+        if len(rows) > 1:
+            explained = rows.mean(axis=0).var() / max(float(rows.var()), 1e-12)
+            scores[width] = float(1.0 - (1.0 - explained) * (rows.size - 1) / (rows.size - width))
+    return scores
 
 
 def _contradiction(values: np.ndarray, width: int) -> str:
     """Why rows of so many values are not the usual layout; "" = nothing speaks against it."""
     rows = values.reshape(-1, width)
-    if width == 5:
-        ring = rows[:, 4]
-        wrong = ring[~((ring >= 0) & (ring < 256) & (ring == np.floor(ring)))]
-        if len(wrong):
-            return f"the fifth column is no ring: whole numbers from 0 to 255 are expected, found {wrong[0]:g}"
-    if width >= 4:
-        wrong = rows[~((rows[:, 3] >= 0) & (rows[:, 3] <= MAX_INTENSITY)), 3]
-        if len(wrong):
-            return f"the fourth column is no intensity: expected 0 to {MAX_INTENSITY}, found {wrong[0]:g}"
+    if width == 5 and wrong_ring(rows[:, 4]):
+        return f"the fifth column is no ring: {wrong_ring(rows[:, 4])}"
+    if width >= 4 and wrong_intensity(rows[:, 3]):
+        return f"the fourth column is no intensity: {wrong_intensity(rows[:, 3])}"
     return ""
 
 

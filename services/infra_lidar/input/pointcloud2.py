@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from services.infra_lidar.input.pcd import MAX_POINTS, FrameError, point_columns
-from services.infra_lidar.input.point_files import in_metres
+from services.infra_lidar.input.plausible import in_metres, with_plausible_columns
 
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
 INTENSITY_NAMES = ("reflectivity", "intensity", "i")  # an Ouster's intensity is its raw signal: reflectivity first
@@ -62,7 +62,8 @@ def points_of_message(cloud: PointCloud2) -> np.ndarray:
     rows = _rows(cloud, chosen)
     brightness = None if intensity is None else np.clip(np.nan_to_num(rows[intensity.name]), 0, BRIGHTEST).ravel()
     rings = None if ring is None else rows[ring.name].ravel()
-    return in_metres(point_columns([rows[field.name].ravel() for field in chosen[:3]], brightness, rings))
+    xyz = [rows[field.name].ravel() for field in chosen[:3]]
+    return with_plausible_columns(in_metres(point_columns(xyz, brightness, rings)))
 
 
 def _rows(cloud: PointCloud2, chosen: Sequence[PointField]) -> np.ndarray:

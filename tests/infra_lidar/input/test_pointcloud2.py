@@ -120,6 +120,11 @@ GOOD = cloud_of(VELODYNE, np.ones((2, 3, 6)))
         (replace(GOOD, width=0), "0 points"),
         (replace(GOOD, width=2**31), "points"),
         (cloud_of(VELODYNE, np.full((1, 9, 6), np.nan_to_num(9000.0))), "are these millimetres"),
+        (cloud_of(VELODYNE, np.zeros((1, 9, 6))), "all 9 points are 0 0 0: none is a return"),
+        (
+            cloud_of(VELODYNE, np.array([[[1.0, 2, 3, 4, 300, 0]]])),
+            "ring: whole numbers from 0 to 255 are expected, found 300",
+        ),
     ],
 )
 def test_what_contradicts_itself_is_refused_with_what_was_found(cloud, words) -> None:
