@@ -15,6 +15,7 @@ from services.infra_lidar.input.point_files import FRAME_SUFFIXES, frame_files, 
 from services.infra_lidar.input.sensors import SUPPORTED
 
 MAX_FILES = 3  # of a folder that are read
+MAX_NAMED = 5  # files of a folder without frames
 MAX_MESSAGES = 50  # of a topic that are read: some seconds
 COLUMNS = ["x", "y", "z", "intensity", "ring"]
 
@@ -74,7 +75,8 @@ def _topic(bag: Bag, topic: BagTopic, path: Path) -> Iterator[tuple[str, bool]]:
 def _files(path: Path) -> Iterator[tuple[str, bool]]:
     names = frame_files(path) if path.is_dir() else [path]
     if not names:
-        yield f"no frames ({' '.join(FRAME_SUFFIXES)}) in {path}", False
+        there = ", ".join(sorted(p.name for p in path.iterdir())[:MAX_NAMED]) or "nothing"
+        yield f"no frames ({' '.join(FRAME_SUFFIXES)}) in {path}; it holds {there}", False
         return
     readable = False
     for name in names[:MAX_FILES]:

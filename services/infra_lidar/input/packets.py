@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -15,7 +15,7 @@ from common.bus.status import Report
 from common.config import ConfigError
 from common.source_url import SourceUrl
 from services.infra_lidar.input.calibration_files import beside, captured_metadata
-from services.infra_lidar.input.captures import CaptureError, read_capture
+from services.infra_lidar.input.captures import CaptureError, Datagram, read_capture
 from services.infra_lidar.input.models import KINDS, kind_of
 from services.infra_lidar.input.ouster import OusterFormat, OusterParser
 from services.infra_lidar.input.range_image import Returns, points_of
@@ -23,6 +23,8 @@ from services.infra_lidar.input.revolution import Revolution
 from services.infra_lidar.input.sensors import OUSTER, SUPPORTED, SURVEY_PACKETS, Sender, model_of, survey
 from services.infra_lidar.input.spinning import PacketParser
 from services.infra_lidar.sensor_health import FrameQuality
+
+MAX_NAMED = 5  # senders of a capture
 
 
 @dataclass(frozen=True)
@@ -71,12 +73,14 @@ def choose_sender(path: Path, url: SourceUrl) -> Sender:
 
     Raises:
         CaptureError: no capture, or a link layer that is not known.
-        ConfigError: no sensor, none that is supported, or several.
+        ConfigError: no sensor, none that is supported, several, or none of those that were asked for.
     """
+    heard: set[tuple[str, int]] = set()
     with path.open("rb") as stream:
-        found = list(survey(islice(read_capture(stream), SURVEY_PACKETS)))
-    asked = [s for s in found if url.params.get("from", s.address) == s.address]
-    asked = [s for s in asked if url.port("port", s.port) == s.port]
+        found = list(survey(_noted(islice(read_capture(stream), SURVEY_PACKETS), heard)))
+    address, port = url.params.get("from", ""), url.port("port", 0)
+    _expect_asked(url, {name for name in heard if address in ("", name[0]) and port in (0, name[1])}, heard)
+    asked = [s for s in found if address in ("", s.address) and port in (0, s.port)]
     supported = [sender for sender in asked if sender.supported]
     if len(supported) == 1:
         return supported[0]
@@ -85,9 +89,29 @@ def choose_sender(path: Path, url: SourceUrl) -> Sender:
             f"source {url}: several sensors: {'; '.join(map(str, supported))}. Choose one with ?from=ADDRESS or ?port="
         )
     if "metadata" in url.params or beside(path, ".json").exists():
-        return Sender("", 0, OUSTER)  # of a kind that is not in the table: the metadata tell its packets
-    seen = "; ".join(map(str, found)) or "no packets of a lidar that we know"
+        return Sender(address, port, OUSTER)  # of a kind that is not in the table: the metadata tell its packets
+    seen = "; ".join(map(str, asked)) or "no packets of a lidar that we know"
+    if found and not asked:
+        seen += f" of {_asked_for(url)}; in the capture: {'; '.join(map(str, found))}"
     raise ConfigError(f"source {url}: {seen}. Supported: {', '.join(SUPPORTED)}")
+
+
+def _noted(datagrams: Iterable[Datagram], heard: set[tuple[str, int]]) -> Iterator[Datagram]:
+    """The same; their senders' addresses and ports are added to ``heard``."""
+    for datagram in datagrams:
+        heard.add((datagram.sender, datagram.port))
+        yield datagram
+
+
+def _asked_for(url: SourceUrl) -> str:
+    return ", ".join(f"{name}={url.params[name]}" for name in ("from", "port") if name in url.params)
+
+
+def _expect_asked(url: SourceUrl, asked: set[tuple[str, int]], heard: set[tuple[str, int]]) -> None:
+    """Refuse an address and a port that nothing in the capture has."""
+    if heard and not asked:
+        there = "; ".join(f"{address}, port {port}" for address, port in sorted(heard)[:MAX_NAMED])
+        raise ConfigError(f"source {url}: no packets of {_asked_for(url)}; in the capture: {there}")
 
 
 def _packets_of(path: Path, sender: Sender, size: int = 0) -> Iterator[tuple[int, bytes]]:

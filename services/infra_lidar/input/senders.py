@@ -92,10 +92,13 @@ def describe(datagrams: list[Datagram], path: Path | None) -> Iterator[str]:
     if not lidars:
         yield "no packets of a lidar that we know" + (f" among {len(datagrams)} datagrams" if datagrams else "")
     for sender, sent in lidars.items():
-        span_s = max((sent[-1].stamp_ns - sent[0].stamp_ns) * 1e-9, 1e-3)
+        span_s = (sent[-1].stamp_ns - sent[0].stamp_ns) * 1e-9
         returns = returns_of(sent[0].payload)
-        line = f"{sender}: {len(sent) / span_s:.0f} packets a second of {len(sent[0].payload)} bytes"
+        rate = f"{len(sent) / span_s:.0f} packets a second" if span_s > 0.0 else f"{len(sent)} packets"
+        line = f"{sender}: {rate} of {len(sent[0].payload)} bytes"
         yield f"{line}, {returns}" if returns else line
+        if span_s <= 0.0 and len(sent) > 1:
+            yield "    the last stamp is not after the first: the stamps do not tell a rate"
         if sender.supported:
             yield from _details(sender, sent, path, span_s)
 
@@ -111,8 +114,9 @@ def _details(sender: Sender, sent: list[Datagram], path: Path | None, span_s: fl
         returns = sum(one.range_image.returns for one in ended) // len(ended)
         lost = sum(one.quality.packets_lost for one in ended)
         counters = parser.order.counters
+        rate = f"{len(ended) / span_s:.1f} revolutions per second" if span_s > 0.0 else f"{len(ended)} revolutions"
         yield (
-            f"    {len(ended) / span_s:.1f} revolutions per second, {returns} returns per revolution; "
+            f"    {rate}, {returns} returns per revolution; "
             f"packets lost {lost}, doubled {counters['packet doubled']}, late {counters['packet late']}"
         )
         others = sorted(counters.keys() - {"packet doubled", "packet late"})

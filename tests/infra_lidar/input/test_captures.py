@@ -158,3 +158,33 @@ def test_the_name_does_not_matter(tmp_path: Path, name: str) -> None:
     data = pcapng(*turn()) if name.endswith("ng") else pcap(*turn())
     data = gzip.compress(data, mtime=0) if name.endswith("gz") else data
     assert len(source(tmp_path, data, name)) == 2
+
+
+TWO_KINDS = pcap(*turn(), ethernet(ipv4(b"a stranger", "192.168.1.9", 9000)))
+
+
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [
+        (
+            "&from=1.2.3.4",
+            "no packets of from=1.2.3.4; in the capture: 192.168.1.201, port 2368; 192.168.1.9, port 9000",
+        ),
+        ("&port=7", "no packets of port=7; in the capture: 192.168.1.201, port 2368"),
+        ("&from=192.168.1.201&port=9000", "no packets of from=192.168.1.201, port=9000; in the capture"),
+    ],
+)
+@pytest.mark.parametrize("has_metadata", [False, True])
+def test_what_is_asked_for_and_not_there_is_named(tmp_path: Path, query: str, words: str, has_metadata: bool) -> None:
+    if has_metadata:
+        (tmp_path / "street.json").write_text(metadata())
+    with pytest.raises(ConfigError) as told:
+        source(tmp_path, TWO_KINDS, query=query)
+    assert words in str(told.value)
+
+
+def test_an_address_that_sends_nothing_of_a_lidar_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as told:
+        source(tmp_path, TWO_KINDS, query="&from=192.168.1.9")
+    words = "we know of from=192.168.1.9; in the capture: Velodyne VLS-128 at 192.168.1.201"
+    assert words in str(told.value)

@@ -192,3 +192,19 @@ def test_a_multicast_group_is_joined(until) -> None:  # type: ignore[no-untyped-
             until(lambda: report.snapshot().counters.get("packet of another kind") == 1)
     finally:
         receiver.close()
+
+
+@pytest.mark.parametrize("step_ns", [0, -1])
+def test_stamps_that_do_not_run_tell_no_rate(step_ns: int) -> None:
+    packets = [Datagram(step_ns * k, "192.168.1.201", 2368, packet) for k, packet in enumerate(turns(2))]
+    lines = list(describe(packets, Path("street.pcap")))
+    assert ": 1201 packets of 1206 bytes, single return" in lines[0]
+    assert "the last stamp is not after the first: the stamps do not tell a rate" in lines[1]
+    assert "a second" not in "".join(lines)
+    assert "per second" not in "".join(lines)
+
+
+def test_a_folder_without_frames_says_what_it_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "street.pcap").write_bytes(b"")
+    assert not print_senders(str(tmp_path), 1.0)
+    assert capsys.readouterr().out.strip().endswith(f"in {tmp_path}; it holds street.pcap")
