@@ -53,7 +53,7 @@ class BagTopic:
 
 def is_bag(path: Path) -> bool:
     """Whether the name is a bag's: a file with such a suffix, or a folder with the bag's metadata."""
-    return (path / "metadata.yaml").exists() if path.is_dir() else path.suffix in SUFFIXES
+    return (path / "metadata.yaml").exists() if path.is_dir() else path.suffix.lower() in SUFFIXES
 
 
 class Bag:
@@ -142,8 +142,10 @@ def open_bag(path: Path) -> Iterator[Bag]:
     """The bag while it is open.
 
     Raises:
-        BagError: no bag, damaged, or the extra is not installed.
+        BagError: no bag, damaged, of a name that the library does not read, or the extra is not installed.
     """
+    if path.suffix not in SUFFIXES and path.suffix.lower() in SUFFIXES:
+        raise BagError(f"a bag's name has to end in {path.suffix.lower()}, found {path.suffix}: rename it")
     try:
         from rosbags.highlevel import AnyReader
 
