@@ -47,16 +47,18 @@ def record_site(config: InfraLidarConfig, seconds: float) -> SiteRecord:
     Background subtraction is off, so that clutter stays in the clusters. Clock steps are removed from the stamps.
 
     Raises:
+        ConfigError: the source cannot be opened.
         ValueError: no frame came, or no cluster was seen.
     """
     whole = msgspec.structs.replace(config.background, enabled=False)
     config = msgspec.structs.replace(config, T_map_sensor=surveyed_pose(config), background=whole)
+    report, elapsed = Report("adapt"), Elapsed()
+    frames = open_source(config, report)  # before a minute is spent on compiling: it may not be there
     pipeline = InfraLidarPipeline(config)
     recorder = SiteRecorder(FEATURES, config.ground.range_max_m)
     warm_up(config, lambda text: None)  # so that compilation does not count as recording time
-    report, elapsed = Report("adapt"), Elapsed()
     first_ns: int | None = None
-    for stamp_ns, frame in awaited(open_source(config, report), report):
+    for stamp_ns, frame in awaited(frames, report):
         first_ns = stamp_ns if first_ns is None else first_ns
         into_ns = elapsed.at(stamp_ns)
         if into_ns * 1e-9 > seconds:

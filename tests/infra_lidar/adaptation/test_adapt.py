@@ -9,8 +9,9 @@ from typer.testing import CliRunner
 pytest.importorskip("sklearn")
 
 from common.bus.status import Report
+from common.config import ConfigError
 from services.infra_lidar.__main__ import app
-from services.infra_lidar.adaptation.adapt import learn_site, split
+from services.infra_lidar.adaptation.adapt import learn_site, record_site, split
 from services.infra_lidar.adaptation.awaited import awaited
 from services.infra_lidar.adaptation.labels import label_site
 from services.infra_lidar.adaptation.recorder import SiteRecord, SiteRecorder, TrackHistory
@@ -175,3 +176,9 @@ def test_on_a_real_motorway_trees_and_barriers_are_clutter_and_cars_in_their_lan
     assert set(np.unique(labels.labels)) == {0}
     assert np.mean(clutter[y_m > 18.0]) > 0.6
     assert np.mean(clutter[(y_m > 3.0) & (y_m < 15.0) & car]) == 0.0
+
+
+def test_a_source_that_is_not_there_is_told_before_anything_is_compiled(monkeypatch):
+    monkeypatch.setattr("services.infra_lidar.adaptation.adapt.warm_up", lambda *_: pytest.fail("compiled first"))
+    with pytest.raises(ConfigError, match="no_recording does not exist"):
+        record_site(InfraLidarConfig(source="file:no_recording"), 1.0)
