@@ -17,7 +17,7 @@ from common.messages import ObjectTracks
 from spotter_tools.cli.connect import AsJson
 from spotter_tools.cli.export_tables import COLUMNS, Row, columns, rows
 from spotter_tools.cli.fail import fail
-from spotter_tools.cli.recorded_messages import messages, one_host, tracks
+from spotter_tools.cli.recorded_messages import by_key, messages, one_host, tracks
 from spotter_tools.cli.site_option import SiteFile, read_site
 from spotter_tools.exports import geojson, kitti, openlabel
 from spotter_tools.exports.tables import write_csv, write_parquet
@@ -80,11 +80,6 @@ def export(
     if order.unreadable:
         left = order.unreadable
         fail(f"{file}: {left.total()} messages could not be read and were left out: {by_key(left)}")
-
-
-def by_key(counts: Counter[str]) -> str:
-    """``3 of pi0/radar/tracks, 1 of jetson0/lidar/zones``."""
-    return ", ".join(f"{count} of {key}" for key, count in counts.most_common())
 
 
 def _write_whole(out: Path, form: str, order: Order) -> None:

@@ -44,6 +44,11 @@ def messages(file: Path, unreadable: Counter[str]) -> Iterator[tuple[str, Messag
         fail(f"{file}: holds none of our messages")
 
 
+def by_key(counts: Counter[str]) -> str:
+    """``3 of pi0/radar/tracks, 1 of jetson0/lidar/zones``."""
+    return ", ".join(f"{count} of {key}" for key, count in counts.most_common())
+
+
 def tracks(file: Path, unreadable: Counter[str], host: str) -> Iterator[tuple[str, ObjectTracks]]:
     """(host, tracks) of the roadside hosts, or of ``host``; ends the program where there are none."""
     seen: set[str] = set()
@@ -53,6 +58,9 @@ def tracks(file: Path, unreadable: Counter[str], host: str) -> Iterator[tuple[st
             seen.add(own)
             if host in ("", own):
                 yield own, message
+    lost = Counter({key: n for key, n in unreadable.items() if key == INFRA_TRACKS.key(key.partition("/")[0])})
+    if not seen and lost:
+        fail(f"{file}: {lost.total()} messages could not be read, no others of their kind are there: {by_key(lost)}")
     if not seen:
         fail(f"{file}: holds no {INFRA_TRACKS.name}: these are the tracks that this form is made of")
     if host and host not in seen:

@@ -7,9 +7,9 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from spotter_tools.cli.export import by_key
 from spotter_tools.cli.fail import fail
 from spotter_tools.cli.progress import Progress
+from spotter_tools.cli.recorded_messages import by_key
 
 
 def verify_recording(files: list[Path], as_json: bool = False) -> None:

@@ -165,3 +165,14 @@ def test_a_wrong_origin_is_refused_by_name(recording: Path, tmp_path: Path, wron
     (tmp_path / "site.toml").write_text(f"[map]\nheading_deg = 0.0\n{wrong}\n")
     told = export(recording, tmp_path / "out.geojson", "--site", str(tmp_path / "site.toml"), code=2)
     assert "latitude_deg" in told
+
+
+@pytest.mark.parametrize("form", ["geojson", "openlabel", "kitti"])
+def test_tracks_that_cannot_be_read_are_not_called_missing(tmp_path: Path, speakers: Any, site: str, form: str) -> None:
+    path = tmp_path / "wrong.mcap"
+    with RecordingFile(path, {"spotter": {"version": "test"}}) as file:
+        message = speakers.objects(1_700_000_000_000_000_000, 3.0)
+        payload = encode(message)[:-20]
+        file.add("infra0/infra_lidar/tracks", type(message), payload, message.stamp_ns, message.stamp_ns, 0)
+    told = export(path, tmp_path / "out", "--as", form, "--site", site, code=1)
+    assert "1 messages could not be read, no others of their kind are there: 1 of infra0/infra_lidar/tracks" in told
