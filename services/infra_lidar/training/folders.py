@@ -18,6 +18,11 @@ FOLDER_CLASSES = {name: name for name in CLASSES} | {
     "person": "pedestrian",
 }  # fmt: skip
 LARGEST_MEDIAN_M = 30.0  # half of the clusters are longer: then these are no metres, or no x y z
+SMALLEST_MEDIAN_M = 0.05  # half of the clusters are shorter: these may be kilometres
+LONGEST_M = 60.0  # no road user is longer
+ROWS = range(4, 9)  # values a row that are looked for besides x y z
+CLEAR_GAIN = 0.02  # by as much have longer rows to explain the numbers better than rows of three
+CLEAR_SIGMAS = 5.0  # and by as much of what chance explains
 OTHER_FILES = (".npy", ".npz", ".pcd", ".ply", ".las", ".laz", ".csv", ".txt", ".xyz")
 _LAYOUT = "expected {train,test}/<class>/*.bin"
 
@@ -44,23 +49,20 @@ def read_part(folder: Path, part: str, min_points: int = 5) -> LabelledClusters:
 
 def read_folder(folder: Path, min_points: int = 5) -> LabelledClusters:
     """Clusters of ``folder/<class>/*.bin``, see ``read_part``. Clusters of fewer than ``min_points`` are left out."""
-    clusters: list[np.ndarray] = []
+    read = {path: _points(path) for path in _files(folder)}
+    clusters = {path: points for path, points in read.items() if len(points) >= min_points}
+    if not clusters:
+        raise ConfigError(f"{folder}: none of {len(read)} clusters has {min_points} points")
     labels: list[int] = []
     groups: list[int] = []
-    too_small = 0
-    for path in _files(folder):
-        points = _points(path)
-        if len(points) < min_points:
-            too_small += 1
-            continue
-        clusters.append(points)
+    for path in clusters:
         labels.append(CLASSES.index(FOLDER_CLASSES[path.parent.name]))
         prefix = path.stem.split("_")[0]
         groups.append(int(prefix) if "_" in path.stem and prefix.isdigit() else 1_000_000 + len(groups))
-    if not clusters:
-        raise ConfigError(f"{folder}: none of {too_small} clusters has {min_points} points")
+    _expect_rows_of_three(clusters)
     _expect_metres(folder, clusters)
-    return collect(clusters, [float(points[:, 2].min()) for points in clusters], labels, groups)
+    points = list(clusters.values())
+    return collect(points, [float(cluster[:, 2].min()) for cluster in points], labels, groups)
 
 
 def expect_classes(clusters: LabelledClusters, folder: Path) -> None:
@@ -109,11 +111,44 @@ def _points(path: Path) -> np.ndarray:
     return points
 
 
-def _expect_metres(folder: Path, clusters: list[np.ndarray]) -> None:
-    lengths_m = [float(np.linalg.norm(np.ptp(points.astype(float), axis=0))) for points in clusters]
-    median_m = float(np.median(lengths_m))
+def _expect_rows_of_three(clusters: dict[Path, np.ndarray]) -> None:
+    """Refuse a class whose numbers repeat with another period than three: a row of x y z and more."""
+    for place in sorted({path.parent for path in clusters}):
+        values = [points.ravel().astype(float) for path, points in clusters.items() if path.parent == place]
+        plain, _ = _explained(values, 3)
+        for width in ROWS:
+            if any(len(one) % width for one in values):
+                continue
+            share, chance = _explained(values, width)
+            if share - plain > max(CLEAR_GAIN, CLEAR_SIGMAS * chance):
+                raise ConfigError(f"{place}: expected float32 x y z, found numbers that look like rows of {width}")
+
+
+def _explained(files: list[np.ndarray], width: int) -> tuple[float, float]:
+    """Share of the variance within files that places in rows of so many explain, less what chance does; its sigma."""
+    sizes = [(np.sign(one) * np.log1p(np.abs(one))).reshape(-1, width) for one in files]
+    within = sum(float(((rows - rows.mean(axis=0)) ** 2).sum()) for rows in sizes)
+    total = sum(float(((rows - rows.mean()) ** 2).sum()) for rows in sizes)
+    count = sum(rows.size for rows in sizes)
+    left, all_free = count - width * len(sizes), count - len(sizes)
+    if left <= 0 or total <= 0.0:
+        return 0.0, 1.0
+    return 1.0 - (within / left) / (total / all_free), float(np.sqrt(2.0 * (width - 1) * len(sizes))) / left
+
+
+def _expect_metres(folder: Path, clusters: dict[Path, np.ndarray]) -> None:
+    lengths_m = {path: float(np.linalg.norm(np.ptp(one.astype(float), axis=0))) for path, one in clusters.items()}
+    median_m = float(np.median(list(lengths_m.values())))
     if median_m > LARGEST_MEDIAN_M:
         raise ConfigError(
             f"{folder}: half of the clusters are longer than {median_m:.0f}: expected metres, x y z; are these "
             f"millimetres, or rows with more columns?"
         )
+    if median_m < SMALLEST_MEDIAN_M:
+        raise ConfigError(
+            f"{folder}: half of the clusters are at most {median_m:.2g} long: expected metres, x y z; are these "
+            f"kilometres?"
+        )
+    for path, length_m in lengths_m.items():
+        if length_m > LONGEST_M and FOLDER_CLASSES[path.parent.name] != "background":
+            raise ConfigError(f"{path}: {length_m:.0f} m long, expected one road user of at most {LONGEST_M:.0f} m")

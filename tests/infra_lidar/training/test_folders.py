@@ -91,14 +91,32 @@ def millimetres(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def four_columns(tmp_path: Path) -> Path:
-    """x y z intensity: 24 rows of four are 32 rows of three, and their sizes give them away."""
+def more_columns(*brightest: float) -> Callable[[Path], Path]:
+    """x y z and more: 24 rows of four are 32 rows of three, of five 40; their sizes give them away."""
+
+    def make(tmp_path: Path) -> Path:
+        part(tmp_path / "data")
+        for path in (tmp_path / "data" / "train" / "car").iterdir():
+            more = [RNG.uniform(0, most, 24) for most in brightest]
+            np.column_stack([np.fromfile(path, np.float32).reshape(24, 3), *more]).astype(np.float32).tofile(path)
+        return tmp_path / "data"
+
+    return make
+
+
+def of_length(name: str, length: float) -> Callable[[Path], object]:
+    return lambda data: np.linspace(0, [length, 0, 0], 24).astype(np.float32).tofile(data / "train" / name)
+
+
+def kilometres(tmp_path: Path) -> Path:
     for name in ("car", "pedestrian"):
-        write(tmp_path / "data" / "train", name, columns=4)
-        for path in (tmp_path / "data" / "train" / name).iterdir():
-            rows = np.fromfile(path, np.float32).reshape(-1, 4)
-            rows[:, 3] = RNG.uniform(0, 255, len(rows))
-            rows.tofile(path)
+        write(tmp_path / "data" / "train", name, scale=0.001)
+    return tmp_path / "data"
+
+
+def points_at_zero(tmp_path: Path) -> Path:
+    for name in ("car", "pedestrian"):
+        write(tmp_path / "data" / "train", name, scale=0.0)
     return tmp_path / "data"
 
 
@@ -119,7 +137,12 @@ WRONG: list[tuple[Callable[[Path], Path], str]] = [
     (no_files, "data/train: no .bin files in car"),
     (tiny, "data/train: none of 1 clusters has 5 points"),
     (millimetres, "expected metres, x y z; are these millimetres"),
-    (four_columns, "or rows with more columns?"),
+    (more_columns(255.0), "train/car: expected float32 x y z, found numbers that look like rows of 4"),
+    (more_columns(3.0), "train/car: expected float32 x y z, found numbers that look like rows of 4"),
+    (more_columns(255.0, 63.0), "train/car: expected float32 x y z, found numbers that look like rows of 5"),
+    (kilometres, "expected metres, x y z; are these kilometres?"),
+    (points_at_zero, "half of the clusters are at most 0 long: expected metres"),
+    (of(of_length("car/0000.bin", 61.0)), "0000.bin: 61 m long, expected one road user of at most 60 m"),
 ]
 
 
@@ -129,6 +152,24 @@ def test_every_wrong_folder_is_one_sentence(make: Callable[[Path], Path], words:
         read_part(make(tmp_path), "train")
     assert words in str(told.value)
     assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("points", [5, 8, 20, 40])
+def test_centred_clusters_are_read_whatever_their_number_of_points(points: int, tmp_path: Path) -> None:
+    """Nothing tells x from y and z, and all files are rows of four and five as well."""
+    for name in ("car", "pedestrian"):
+        (tmp_path / "data" / "train" / name).mkdir(parents=True)
+        for k in range(5):
+            cluster = RNG.uniform(-1, 1, (points, 3)).astype(np.float32)
+            cluster.tofile(tmp_path / "data" / "train" / name / f"{k}.bin")
+    assert len(read_part(tmp_path / "data", "train")) == 10
+
+
+def test_background_may_be_long(tmp_path: Path) -> None:
+    data = part(tmp_path / "data")
+    write(data / "train", "background")
+    of_length("background/0000.bin", 61.0)(data)
+    assert len(read_part(data, "train")) == 9
 
 
 def test_hidden_files_and_notes_do_not_disturb(tmp_path: Path) -> None:
@@ -147,7 +188,7 @@ def test_what_cannot_be_learned_from_is_refused(names: list[str], words: str, tm
         for kind in ("car", "pedestrian"):
             (data / "train" / kind).mkdir(parents=True)
             for name in names:
-                np.ones((10, 3), np.float32).tofile(data / "train" / kind / f"{name}.bin")
+                RNG.uniform(-1, 1, (10, 3)).astype(np.float32).tofile(data / "train" / kind / f"{name}.bin")
     with pytest.raises(ConfigError, match=words):
         expect_classes(read_part(data, "train"), data / "train")
 

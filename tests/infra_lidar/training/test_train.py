@@ -154,7 +154,7 @@ def test_a_folder_in_the_articles_layout(tmp_path: Path) -> None:
 def test_a_number_before_the_underscore_is_the_group(tmp_path: Path) -> None:
     (tmp_path / "car").mkdir()
     for name in ("7_a", "7_b", "8_a"):
-        np.ones((10, 3), np.float32).tofile(tmp_path / "car" / f"{name}.bin")
+        np.linspace(0, 1, 30, dtype=np.float32).reshape(10, 3).tofile(tmp_path / "car" / f"{name}.bin")
     assert read_folder(tmp_path).groups.tolist() == [7, 7, 8]
 
 
