@@ -29,6 +29,7 @@ class SourceUrl:
     scheme: str
     target: str
     params: dict[str, str] = field(default_factory=dict)
+    slashes: str = field(default="", compare=False)  # "//" where it was written before the target
 
     def number(self, name: str, default: float) -> float:
         """A numeric parameter; raises ``ConfigError`` when it is not a number, or not a finite one."""
@@ -54,7 +55,7 @@ class SourceUrl:
 
     def __str__(self) -> str:
         query = "&".join(f"{key}={value}" for key, value in self.params.items())
-        return f"{self.scheme}:{self.target}" + (f"?{query}" if query else "")
+        return f"{self.scheme}:{self.slashes}{self.target}" + (f"?{query}" if query else "")
 
 
 def port_in(text: str, where: str) -> int:
@@ -104,5 +105,5 @@ def parse_source(text: str, allowed: dict[str, tuple[str, ...]]) -> SourceUrl:
         if name not in allowed[scheme]:
             known = ", ".join(allowed[scheme]) or "none"
             raise ConfigError(f"source {text!r}: no parameter {name!r} for {scheme}:; allowed: {known}")
-    target = target.removeprefix("//") if scheme != "file" else target
-    return SourceUrl(scheme, target, params)
+    slashes = "//" if scheme != "file" and target.startswith("//") else ""
+    return SourceUrl(scheme, target.removeprefix(slashes), params, slashes)

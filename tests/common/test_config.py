@@ -119,6 +119,21 @@ def test_source_urls() -> None:
 
 
 @pytest.mark.parametrize(
+    ("text", "target"),
+    [
+        ("ouster://os-1.local?port=7502", "os-1.local"),
+        ("ouster:os-1.local", "os-1.local"),
+        ("ouster:///dev/x", "/dev/x"),
+        ("file://server/a.bin?rate=2", "//server/a.bin"),
+        ("file:/data/a.bin", "/data/a.bin"),
+    ],
+)
+def test_a_source_is_shown_as_it_was_written(text: str, target: str) -> None:
+    source = parse_source(text, {"ouster": ("port",), "file": ("rate",)})
+    assert (str(source), source.target) == (text, target)
+
+
+@pytest.mark.parametrize(
     ("text", "expected"),
     [
         ("", "no source: give one with --source"),
