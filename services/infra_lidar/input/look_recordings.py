@@ -11,7 +11,7 @@ import numpy as np
 from common.config import ConfigError
 from services.infra_lidar.input.bags import CLOUD, Bag, BagError, BagTopic, is_bag, open_bag, packets_of, points_in
 from services.infra_lidar.input.pcd import FrameError
-from services.infra_lidar.input.point_files import FRAME_SUFFIXES, frame_files, parse_frame
+from services.infra_lidar.input.point_files import FRAME_SUFFIXES, frame_files, others_beside, parse_frame
 from services.infra_lidar.input.sensors import SUPPORTED
 
 MAX_FILES = 3  # of a folder that are read
@@ -90,6 +90,8 @@ def _files(path: Path) -> Iterator[tuple[str, bool]]:
         held = ", ".join(COLUMNS[: points.shape[1]])
         yield f"{name.name}: {len(points)} points ({held}), {reach_m.min():.1f} to {reach_m.max():.1f} m away", False
     if path.is_dir():
-        yield f"{len(names)} frames {names[0].suffix} in {path}", False
+        others = others_beside(path, names[0].suffix.lower())
+        beside = f"; not read: {others}, as a source has one kind of files" if others else ""
+        yield f"{len(names)} frames {names[0].suffix} in {path}{beside}", False
     if readable:
         yield f'    source = "file:{path}"', True

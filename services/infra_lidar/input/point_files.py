@@ -27,6 +27,7 @@ from services.infra_lidar.input.ply import parse_ply
 
 POINTS_OF = {".pcd": parse_pcd, ".ply": parse_ply, ".las": parse_las, ".laz": parse_las}
 FRAME_SUFFIXES = (".npz", ".pcd", ".bin", ".npy", ".ply", ".las", ".laz")
+WITHOUT_NAMES = (".bin", ".npy")  # whose columns can be told with ?columns=
 MODEL_FILE = "background.npz"  # which ``calibration.store`` writes
 LAYOUTS = {3: ("x", "y", "z"), 4: ("x", "y", "z", "intensity"), 5: ("x", "y", "z", "intensity", "ring")}
 PERIODS = range(3, 13)  # values a row that are looked for in a .bin
@@ -47,6 +48,14 @@ def frame_files(folder: Path) -> list[Path]:
         if names:
             return names
     return []
+
+
+def others_beside(folder: Path, read: str) -> str:
+    """How many frames of other suffixes than ``read`` the folder holds, as "2 .bin, 1 .npy"; "" = none."""
+    suffixes = [p.suffix.lower() for p in folder.iterdir() if p.name != MODEL_FILE]
+    return ", ".join(
+        f"{suffixes.count(other)} {other}" for other in FRAME_SUFFIXES if other in suffixes and other != read
+    )
 
 
 @dataclass(frozen=True)

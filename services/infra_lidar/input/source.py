@@ -38,7 +38,14 @@ from services.infra_lidar.input.bag_frames import bag_frames
 from services.infra_lidar.input.bags import is_bag
 from services.infra_lidar.input.live_packets import live_packets
 from services.infra_lidar.input.packets import Frame, Recorded, recorded_revolutions
-from services.infra_lidar.input.point_files import FRAME_SUFFIXES, FrameError, frame_files, parse_frame
+from services.infra_lidar.input.point_files import (
+    FRAME_SUFFIXES,
+    WITHOUT_NAMES,
+    FrameError,
+    frame_files,
+    others_beside,
+    parse_frame,
+)
 from services.infra_lidar.input.raw import recorded_frames
 
 if TYPE_CHECKING:
@@ -125,15 +132,22 @@ def _file(url: SourceUrl, report: Report) -> Iterator[tuple[int, Frame]]:
     path = Path(url.target).expanduser()
     if not path.exists():
         raise ConfigError(f"source {url}: {path} does not exist")
+    names = [] if is_bag(path) or not path.is_dir() else frame_files(path)
+    suffix = (names[0] if names else path).suffix.lower()
+    if "columns" in url.params and suffix not in WITHOUT_NAMES:
+        what = suffix or path.name
+        raise ConfigError(f"source {url}: columns= is for {' and '.join(WITHOUT_NAMES)}, not for {what}")
     if is_bag(path):
         return _play(url, bag_frames(path, url, report))
     if path.is_dir():
-        names = frame_files(path)
         if not names:
             there = ", ".join(sorted(p.name for p in path.iterdir())[:MAX_NAMED]) or "nothing"
             raise ConfigError(f"source {url}: no {', '.join(FRAME_SUFFIXES)} frames in {path}; it holds {there}")
+        others = others_beside(path, suffix)
+        if others:
+            log.warning("%s: %d frames %s are read, not %s", path, len(names), suffix, others)
         return _play(url, _frames(names, url, report, keep=url.flag("loop") and len(names) <= 20))
-    if path.suffix.lower() in FRAME_SUFFIXES:
+    if suffix in FRAME_SUFFIXES:
         return _play(url, _frames([path], url, report, keep=True))
     return _play(url, recorded_revolutions(path, url, report))
 
