@@ -61,6 +61,8 @@ def _learn(config: InfraLidarConfig, seconds: float) -> Outcome:
 
     try:
         record = record_site(config, seconds)
+    except ConfigError:  # it names the source itself
+        raise
     except ValueError as error:
         raise ConfigError(f"{config.source}: {error}") from None
     say(_seen(record))

@@ -178,7 +178,9 @@ def test_on_a_real_motorway_trees_and_barriers_are_clutter_and_cars_in_their_lan
     assert np.mean(clutter[(y_m > 3.0) & (y_m < 15.0) & car]) == 0.0
 
 
-def test_a_source_that_is_not_there_is_told_before_anything_is_compiled(monkeypatch):
+def test_a_source_that_is_not_there_is_told_before_anything_is_compiled(monkeypatch, tmp_path):
     monkeypatch.setattr("services.infra_lidar.adaptation.adapt.warm_up", lambda *_: pytest.fail("compiled first"))
     with pytest.raises(ConfigError, match="no_recording does not exist"):
         record_site(InfraLidarConfig(source="file:no_recording"), 1.0)
+    refused = CliRunner().invoke(app, ["--source", "file:no_recording", "adapt", "-o", str(tmp_path / "site.npz")])
+    assert str(refused.exception) == "source file:no_recording: no_recording does not exist"
