@@ -12,7 +12,7 @@ import msgspec
 import pytest
 
 from common import clock as clocks
-from common import topics
+from common import pacing, topics
 from common.bus.status import Report
 from common.path import Motion
 from services.infra_lidar.config import InfraLidarConfig, VisibilityConfig
@@ -64,6 +64,10 @@ class Clock:
         self.now_s = round(self.now_s + max(0.0, seconds), 9)
         if self.now_s >= self.end_s:
             raise Over
+
+    def is_set(self) -> bool:
+        """As ``wait``: for the camera this is its stop event."""
+        return False
 
     def wait(self, seconds: float) -> bool:
         """The camera waits on its stop event; it is never set."""
@@ -167,11 +171,12 @@ def run_service(name: str, scenario: str, seconds: float) -> list[tuple[float, s
 
     sent.clock.sleep = watched_sleep  # type: ignore[method-assign]
     with pytest.MonkeyPatch.context() as patch:
-        for place, clock in itertools.product((clocks, scenario_clock, module), ("utc_ns", "monotonic_s")):
+        for place, clock in itertools.product((clocks, pacing, scenario_clock, module), ("utc_ns", "monotonic_s")):
             if hasattr(place, clock):
                 patch.setattr(place, clock, getattr(sent.clock, clock))
-        if hasattr(module, "time"):
-            patch.setattr(module, "time", SimpleNamespace(sleep=watched_sleep))
+        for place in (pacing, module):
+            if hasattr(place, "time"):
+                patch.setattr(place, "time", SimpleNamespace(sleep=watched_sleep))
         try:
             for message in service(scenario, sent):
                 sent.publish(message)
