@@ -295,14 +295,3 @@ def test_a_topic_that_is_not_there(tmp_path: Path) -> None:
     path = write(tmp_path / "bag", clouds(1))
     with open_bag(path) as bag, pytest.raises(BagError, match="no topic /nowhere"):
         next(bag.messages("/nowhere"))
-
-
-@pytest.mark.parametrize("suffix", [".MCAP", ".Db3", ".BAG"])
-def test_a_name_in_capitals_is_a_bags(tmp_path: Path, suffix: str) -> None:
-    file = tmp_path / f"street{suffix}"
-    file.write_bytes(b"")
-    words = rf"name has to end in {suffix.lower()}, found {suffix}: rename it"
-    with pytest.raises(ConfigError, match=words):
-        open_source(InfraLidarConfig(source=f"file:{file}"), Report("test"))
-    with pytest.raises(ConfigError, match=words):
-        print_senders(str(file), 1.0)

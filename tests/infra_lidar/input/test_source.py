@@ -12,6 +12,7 @@ from common.config import ConfigError
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.input.live_packets import Receiver
 from services.infra_lidar.input.range_image import count_of
+from services.infra_lidar.input.senders import print_senders
 from services.infra_lidar.input.source import open_source, surveyed_pose
 from services.infra_lidar.input.velodyne import Vls128Parser
 from tests.infra_lidar.made_packets import metadata
@@ -177,3 +178,14 @@ def test_recorded_packets_are_a_source(recording, report):
     (frame,) = [frame for _, frame in _open(f"file:{capture}?rate=0", report)]
     assert count_of(frame.returns) == 119_682
     assert frame.points.shape == (1024 * 128, 5)
+
+
+@pytest.mark.parametrize("suffix", [".MCAP", ".Db3", ".BAG"])
+def test_a_name_in_capitals_is_a_bags(tmp_path, report, suffix):
+    file = tmp_path / f"street{suffix}"
+    file.write_bytes(b"")
+    words = rf"name has to end in {suffix.lower()}, found {suffix}: rename it"
+    with pytest.raises(ConfigError, match=words):
+        _open(f"file:{file}", report)
+    with pytest.raises(ConfigError, match=words):
+        print_senders(str(file), 1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -133,3 +134,14 @@ def test_a_small_kitti_drive_moves_as_one(recording) -> None:
     assert np.median(speeds) == pytest.approx(-7.4, abs=0.4)
     assert np.median(np.abs(np.array(speeds) - np.median(speeds))) < 0.4
     assert len(ids[-1] & ids[-3]) >= 0.6 * len(ids[-3])
+
+
+def test_a_detection_of_low_confidence_updates_a_track_but_initiates_none() -> None:
+    tracker = MultiObjectTracker(TrackingConfig(initiate_confidence=0.7))
+    sure = boxes((5.0, 0.0, 4.4, 1.8, "car"))
+    unsure = replace(sure, confidence=np.array([0.5]))
+    assert [tracker.update(T0_NS + n * 100_000_000, unsure) for n in range(3)] == [[], [], []]
+    (born,) = tracker.update(T0_NS + 300_000_000, sure)
+    for n in range(4, 20):
+        (track,) = tracker.update(T0_NS + n * 100_000_000, unsure)
+    assert (track.track_id, track.state) == (born.track_id, "confirmed")

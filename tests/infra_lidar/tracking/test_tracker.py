@@ -290,14 +290,3 @@ def test_a_track_coasts_no_longer_than_it_was_observed() -> None:
     config = TrackingConfig(coast_s=2.0)
     out = run([detections((5.0, 0.0))] * 4 + [detections()] * 8, config)
     assert [len(tracks) for tracks in out[4:]] == [1, 1, 1, 0, 0, 0, 0, 0]
-
-
-def test_a_detection_of_low_confidence_updates_a_track_but_initiates_none() -> None:
-    tracker = MultiObjectTracker(TrackingConfig(initiate_confidence=0.7))
-    sure = detections((5.0, 0.0))
-    unsure = replace(sure, confidence=np.array([0.5]))
-    assert [tracker.update(T0_NS + n * 100_000_000, unsure) for n in range(3)] == [[], [], []]
-    (born,) = tracker.update(T0_NS + 300_000_000, sure)
-    for n in range(4, 20):
-        (track,) = tracker.update(T0_NS + n * 100_000_000, unsure)
-    assert (track.track_id, track.state) == (born.track_id, "confirmed")
