@@ -12,9 +12,12 @@ from typing import NamedTuple, TypeVar, cast
 import numba
 import numpy as np
 
+from spotter_sim.solids import CYLINDER, FOLIAGE, SPHERE
+
 RANGE_NOISE_M = 0.02
 _DROPOUT = 0.01
 F = TypeVar("F", bound=Callable[..., object])
+Vector = tuple[float, float, float]  # numbers stay in registers, where an array would be read from memory
 
 
 def _kernel(function: F) -> F:
@@ -65,12 +68,37 @@ class Returns(NamedTuple):
 
 
 @_kernel
-def _range_to_patch(ground: Ground, patch: int, dx: float, dy: float, dz: float) -> float:
+def _turned(m: np.ndarray, rays: Rays, column: int, ring: int) -> Vector:
+    """The direction of a ray times the matrix m (3, 3)."""
+    x, y, z = rays.direction[column, ring, 0], rays.direction[column, ring, 1], rays.direction[column, ring, 2]
+    return (
+        m[0, 0] * x + m[0, 1] * y + m[0, 2] * z,
+        m[1, 0] * x + m[1, 1] * y + m[1, 2] * z,
+        m[2, 0] * x + m[2, 1] * y + m[2, 2] * z,
+    )
+
+
+@_kernel
+def _start(targets: Targets, solid: int, time_s: float) -> Vector:
+    """Where the rays of a column start in the unit space of a solid that moves."""
+    at, drift = targets.start, targets.drift
+    return (
+        at[solid, 0] - drift[solid, 0] * time_s,
+        at[solid, 1] - drift[solid, 1] * time_s,
+        at[solid, 2] - drift[solid, 2] * time_s,
+    )
+
+
+@_kernel
+def _range_to_patch(ground: Ground, patch: int, direction: Vector) -> float:
     """Range at which a ray, direction in the map, comes down on a patch, inf when it misses."""
-    x0, x1, y0, y1, rise, along_x, along_y = ground.patches[patch]
-    ox, oy, oz = ground.origin_m
-    c, d = ground.quadric[2], ground.quadric[3]
-    a, b = ground.quadric[0] + along_x, ground.quadric[1] + along_y
+    p, q = ground.patches, ground.quadric
+    ox, oy, oz = ground.origin_m[0], ground.origin_m[1], ground.origin_m[2]
+    dx, dy, dz = direction
+    x0, x1, y0, y1 = p[patch, 0], p[patch, 1], p[patch, 2], p[patch, 3]
+    if (ox > x1 and dx >= 0.0) or (ox < x0 and dx <= 0.0) or (oy > y1 and dy >= 0.0) or (oy < y0 and dy <= 0.0):
+        return np.inf  # the ray leads away from it
+    rise, a, b, c, d = p[patch, 4], q[0] + p[patch, 5], q[1] + p[patch, 6], q[2], q[3]
     # start + linear t - square t^2 = 0: the height of the ray over the ground
     start = oz - a * ox - b * oy - c * ox * ox - d * oy * oy - rise
     linear = dz - a * dx - b * dy - 2.0 * (c * ox * dx + d * oy * dy)
@@ -90,16 +118,11 @@ def _range_to_patch(ground: Ground, patch: int, dx: float, dy: float, dz: float)
 @_kernel
 def hit_ground(rays: Rays, ground: Ground, max_range_m: float, image: RangeImage) -> None:
     """Fill ``image`` with the range of every ray to the ground, inf beyond ``max_range_m``."""
-    rotation, direction = ground.rotation, rays.direction
-    for column in range(direction.shape[0]):
-        for ring in range(direction.shape[1]):
-            x, y, z = direction[column, ring, 0], direction[column, ring, 1], direction[column, ring, 2]
-            dx = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
-            dy = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
-            dz = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
-            t = np.inf
+    for column in range(image.range_m.shape[0]):
+        for ring in range(image.range_m.shape[1]):
+            direction, t = _turned(ground.rotation, rays, column, ring), np.inf
             for patch in range(ground.patches.shape[0]):
-                t = min(t, _range_to_patch(ground, patch, dx, dy, dz))
+                t = min(t, _range_to_patch(ground, patch, direction))
             image.range_m[column, ring] = t if t <= max_range_m else np.inf
             image.hit[column, ring] = -1
 
@@ -114,36 +137,47 @@ def _noise(seed: np.uint64, ray: int) -> np.uint64:
 
 
 @_kernel
-def _interval(shape: int, o: np.ndarray, d: np.ndarray) -> tuple[float, float]:
-    """Where the ray o + t d enters and leaves a unit shape; enter > leave when it misses."""
-    enter, leave = -np.inf, np.inf
-    if shape != 2:  # sphere, cylinder, foliage: the round part
-        axes = 2 if shape == 1 else 3
-        a, b, c = 0.0, 0.0, -1.0
-        for k in range(axes):
-            a += d[k] * d[k]
-            b += o[k] * d[k]
-            c += o[k] * o[k]
-        root = b * b - a * c
-        if root < 0.0 or (a < 1e-18 and c > 0.0):
-            return np.inf, -np.inf
-        if a >= 1e-18:
-            spread = np.sqrt(root)
-            enter, leave = (-b - spread) / a, (-b + spread) / a
-    if shape == 1 or shape == 2:  # the flat part
-        for k in range(2 if shape == 1 else 0, 3):
-            step = d[k] if abs(d[k]) > 1e-12 else 1e-12
-            first, second = (-1.0 - o[k]) / step, (1.0 - o[k]) / step
-            enter = max(enter, min(first, second))
-            leave = min(leave, max(first, second))
-    return enter, leave
+def _between_planes(o: float, d: float) -> tuple[float, float]:
+    """Where o + t d passes -1 and 1, the nearer first."""
+    per_unit = 1.0 / d if abs(d) > 1e-12 else 1e12
+    middle, half = -o * per_unit, abs(per_unit)
+    return middle - half, middle + half
 
 
 @_kernel
-def _range_to(shape: int, o: np.ndarray, d: np.ndarray, luck: float) -> float:
+def _within_circle(a: float, b: float, c: float) -> tuple[float, float]:
+    """Where a t^2 + 2 b t + c is below 0; enter > leave where it never is."""
+    root = b * b - a * c
+    if root < 0.0 or (a < 1e-18 and c > 0.0):
+        return np.inf, -np.inf
+    if a < 1e-18:
+        return -np.inf, np.inf
+    spread = np.sqrt(root)
+    return (-b - spread) / a, (-b + spread) / a
+
+
+@_kernel
+def _interval(shape: int, o: Vector, d: Vector) -> tuple[float, float]:
+    """Where the ray o + t d enters and leaves a unit shape; enter > leave when it misses."""
+    ox, oy, oz = o
+    dx, dy, dz = d
+    a, b, c = dx * dx + dy * dy, ox * dx + oy * dy, ox * ox + oy * oy - 1.0
+    if shape in (SPHERE, FOLIAGE):
+        return _within_circle(a + dz * dz, b + oz * dz, c + oz * oz)
+    low, high = _between_planes(oz, dz)
+    if shape == CYLINDER:
+        enter, leave = _within_circle(a, b, c)
+        return max(low, enter), min(high, leave)
+    left, right = _between_planes(ox, dx)
+    back, front = _between_planes(oy, dy)
+    return max(low, left, back), min(high, right, front)
+
+
+@_kernel
+def _range_to(shape: int, o: Vector, d: Vector, luck: float) -> float:
     """Range at which the ray hits the unit shape, inf when it misses. Leaves are hit somewhere inside or not at all."""
     enter, leave = _interval(shape, o, d)
-    if shape == 3:
+    if shape == FOLIAGE:
         enter += 1.6 * luck * (leave - enter)
     return enter if 0.0 < enter <= leave else np.inf
 
@@ -152,21 +186,17 @@ def _range_to(shape: int, o: np.ndarray, d: np.ndarray, luck: float) -> float:
 def hit_solids(rays: Rays, targets: Targets, image: RangeImage) -> None:
     """Lower ``image.range_m`` where a solid is nearer and note its row in ``image.hit``."""
     columns, luck = rays.direction.shape[0], 0.0
-    o, d = np.empty(3), np.empty(3)
     for solid in range(targets.shape.shape[0]):
-        shape, m, clear_m = targets.shape[solid], targets.to_unit[solid], targets.clear_m[solid]
+        shape, to_unit, clear_m = targets.shape[solid], targets.to_unit[solid], targets.clear_m[solid]
         first_column, count, first_ring, stop_ring = targets.windows[solid]
         for k in range(count):
             column = (first_column + k) % columns
-            for i in range(3):
-                o[i] = targets.start[solid, i] - targets.drift[solid, i] * rays.column_s[column]
+            o = _start(targets, solid, rays.column_s[column])
             for ring in range(first_ring, stop_ring):
                 if image.range_m[column, ring] <= clear_m:
                     continue
-                x, y, z = rays.direction[column, ring]
-                for i in range(3):
-                    d[i] = m[i, 0] * x + m[i, 1] * y + m[i, 2] * z
-                if shape == 3:  # the same leaves for the same ray in every turn
+                d = _turned(to_unit, rays, column, ring)
+                if shape == FOLIAGE:  # the same leaves for the same ray in every turn
                     bits = _noise(np.uint64(targets.number[solid]), column * 128 + ring)
                     luck = np.float64(bits >> np.uint64(40)) / 2.0**24
                 distance = _range_to(shape, o, d, luck)
