@@ -20,7 +20,8 @@ from services.infra_lidar.classification.classes import CLASSES
 from services.infra_lidar.classification.classifier import Classifier
 from services.infra_lidar.classification.features import compute_features
 from services.infra_lidar.classification.forest import Forest
-from services.infra_lidar.clustering.clustering import Clustering, ClusterPoints
+from services.infra_lidar.clustering.boxes import ClusterPoints
+from services.infra_lidar.clustering.clustering import Clustering
 from services.infra_lidar.config import ClassifierConfig
 from services.infra_lidar.segmentation.ground import Ground
 from services.infra_lidar.training.train import flatten
@@ -76,8 +77,8 @@ class Timed:
 
 def article_table(found: ClusterPoints) -> np.ndarray:
     """(K, len(NAMES)) float32: the article's features, above a road at z = 0."""
-    at, table = NAMES.index(SPACING), np.empty((len(found), len(NAMES)), np.float32)
-    names, road_z_m = NAMES[:at] + NAMES[at + 1 :], np.zeros(len(found), np.float32)
+    at, table = NAMES.index(SPACING), np.empty((len(found.box), len(NAMES)), np.float32)
+    names, road_z_m = NAMES[:at] + NAMES[at + 1 :], np.zeros(len(found.box), np.float32)
     others = compute_features(found.points, found.offsets, road_z_m, names)
     table[:, :at], table[:, at + 1 :] = others[:, :at], others[:, at:]
     table[:, at] = spacing_deviation(found.points, found.offsets)
@@ -86,9 +87,9 @@ def article_table(found: ClusterPoints) -> np.ndarray:
 
 def mean_points(found: ClusterPoints) -> np.ndarray:
     """(K, 3) float64, the mean of the points of each cluster (m): what the article's tracker measures."""
-    if not len(found):
+    if not len(found.box):
         return np.empty((0, 3))
-    return np.add.reduceat(found.points, found.offsets[:-1], axis=0, dtype=np.float64) / found.counts[:, None]
+    return np.add.reduceat(found.points[:, :3], found.offsets[:-1], axis=0, dtype=np.float64) / found.counts[:, None]
 
 
 class ArticleByKernels:

@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from services.infra_lidar.clustering.boxes import group_by_label, keep_groups
-from services.infra_lidar.clustering.clustering import ClusterPoints
+from services.infra_lidar.clustering.boxes import ClusterPoints, group_by_label
 from services.infra_lidar.jit import kernel
 
 BINS = 29  # along the main axis, between 30 edges
@@ -37,8 +36,7 @@ def refine_clusters(clusters: ClusterPoints, options: Refinements = ALL) -> Clus
     """Clusters as the article refines them; the gap to the road of a box is its lowest z."""
     points = _with_height(clusters.points)
     label = refined_labels(points, clusters.offsets, clusters.box, options)
-    groups = group_by_label(points, clusters.members, label, len(label))
-    return ClusterPoints(*keep_groups(groups, np.ones(len(groups.box), np.bool_)))
+    return group_by_label(points, clusters.members, label, len(label))
 
 
 @kernel

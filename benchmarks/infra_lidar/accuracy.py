@@ -222,7 +222,7 @@ def _count_boxes(frame: LabelledFrame, counts: dict[tuple[str, str], Counter[str
         if inside.sum() < MIN_POINTS:
             continue
         ids = found.cluster_id(len(inside))[inside & ~obstacles.is_ground]
-        share = np.bincount(ids[ids >= 0], minlength=len(found)) / max(len(ids), 1)
+        share = np.bincount(ids[ids >= 0], minlength=len(found.box)) / max(len(ids), 1)
         best, n = int(share.argmax()), counts[frame.data_set, label]
         own = share[best] >= 0.5 and share[best] * len(ids) > 0.5 * found.counts[best]
         n["boxes"] += 1

@@ -23,7 +23,8 @@ from services.infra_lidar.calibration.plane_fit import Calibrator
 from services.infra_lidar.classification.classes import CLASSES, UNKNOWN, VEHICLES
 from services.infra_lidar.classification.classifier import Classification, Classifier, without_vehicles
 from services.infra_lidar.classification.features import compute_features
-from services.infra_lidar.clustering.clustering import Clustering, ClusterPoints
+from services.infra_lidar.clustering.boxes import ClusterPoints
+from services.infra_lidar.clustering.clustering import Clustering
 from services.infra_lidar.config import CalibrationConfig, ClassifierConfig, ClusteringConfig, GroundConfig
 from services.infra_lidar.segmentation.ground import Ground
 from services.infra_lidar.training.clusters import LabelledClusters, collect

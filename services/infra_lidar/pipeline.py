@@ -10,7 +10,8 @@ from services.infra_lidar.calibration.monitor import CalibrationMonitor
 from services.infra_lidar.calibration.plane_fit import Calibration
 from services.infra_lidar.classification.classes import BACKGROUND, LARGE_VEHICLE, UNKNOWN
 from services.infra_lidar.classification.classifier import Classifier, without_vehicles
-from services.infra_lidar.clustering.clustering import Clustering, ClusterPoints
+from services.infra_lidar.clustering.boxes import ClusterPoints
+from services.infra_lidar.clustering.clustering import Clustering
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.input.range_image import RangeImage, Returns
 from services.infra_lidar.result import ClusterSet, FrameResult
@@ -84,7 +85,7 @@ class InfraLidarPipeline:
 
         # 5. Track, in the map frame. Background clusters too: they keep tracks alive that the forest gave up briefly.
         T_map_level = self._map_from_level(calibration)
-        self.tracker.step(stamp_ns, self._detections(clusters, found, T_map_level))
+        self.tracker.step(stamp_ns, self._detections(clusters, T_map_level))
         tracks = self.tracker.snapshot()
         watch.lap("track")
 
@@ -113,15 +114,15 @@ class InfraLidarPipeline:
         called = self.classifier.extract_and_classify(found, road_z_m)
         on_drop = self.scene.on_drop(*found.box[:, :2].T)
         features, index, confidence, probabilities = without_vehicles(called, on_drop)
-        self.scene.mark_static(segmentation, found, road_z_m, index)
+        self.scene.mark_static(segmentation, found, index)
         return ClusterSet(
             classes=index, confidences=confidence, probabilities=probabilities, box=found.box,
             features=features, offsets=found.offsets, members=found.members, ground_z_m=road_z_m,
         )  # fmt: skip
 
-    def _detections(self, clusters: ClusterSet, found: ClusterPoints, T_map_level: np.ndarray) -> np.ndarray:
+    def _detections(self, clusters: ClusterSet, T_map_level: np.ndarray) -> np.ndarray:
         return detection_records(
-            found.box, clusters.classes, clusters.confidences, clusters.counts, clusters.probabilities,
+            clusters.box, clusters.classes, clusters.confidences, clusters.counts, clusters.probabilities,
             T_map_source=T_map_level,
         )  # fmt: skip
 

@@ -13,7 +13,7 @@ from common.messages import Cluster, Clusters, ObjectTracks, PointCloud
 from services.infra_lidar.calibration.plane_fit import Calibration
 from services.infra_lidar.classification.classes import BACKGROUND as BACKGROUND_CLASS
 from services.infra_lidar.classification.classes import LABELS
-from services.infra_lidar.clustering.clustering import of_points
+from services.infra_lidar.clustering.boxes import of_points
 from services.infra_lidar.input.range_image import Returns, count_of, points_of
 from services.infra_lidar.segmentation.scene import Segmentation
 from services.infra_lidar.tracking.track_table import TrackTable

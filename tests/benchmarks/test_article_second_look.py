@@ -12,9 +12,9 @@ def test_people_in_a_row_are_cut_at_the_gap_as_in_the_article():
     people = solid(8, 0, 0.5, 0.5, 0.2, 1.7, n=300), solid(8, 1.4, 0.5, 0.5, 0.2, 1.7, n=300, seed=1)
     bridge = solid(8, 0.7, 0.1, 1.2, 0.9, 1.0, n=12)
     joined, owner = clusters_of_parts(*people, bridge, config=config)
-    assert len(joined) == 1
+    assert len(joined.box) == 1
     found = refine_clusters(joined, Refinements(trim=False, join=False))
-    assert len(found) == 2
+    assert len(found.box) == 2
     of_point = found.cluster_id(len(owner))
     assert all(len(set(of_point[owner == k].tolist()) - {-1}) == 1 for k in range(2))
 
@@ -27,8 +27,8 @@ def test_a_box_inside_another_joins_it_as_in_the_article():
     )
     inner = solid(10, 1.0, 0.4, 0.4, 0.4, 1.2, n=60)
     apart, _ = clusters_of_parts(*frame, inner, config=PLAIN)
-    assert len(apart) == 2
-    assert len(refine_clusters(apart, Refinements(trim=False, split=False))) == 1
+    assert len(apart.box) == 2
+    assert len(refine_clusters(apart, Refinements(trim=False, split=False)).box) == 1
 
 
 def test_feet_are_trimmed_as_in_the_article():

@@ -18,7 +18,7 @@ from services.infra_lidar.classification.classes import CLASSES, UNKNOWN, VEHICL
 from services.infra_lidar.classification.feature_kernels import FEATURE_NAMES
 from services.infra_lidar.classification.features import compute_features
 from services.infra_lidar.classification.forest import Forest, ModelError, load_forest
-from services.infra_lidar.clustering.clustering import ClusterPoints
+from services.infra_lidar.clustering.boxes import ClusterPoints
 from services.infra_lidar.config import ClassifierConfig
 
 SHIPPED_MODEL = Path(__file__).with_name("forest.npz")

@@ -51,7 +51,7 @@ def cluster_features(
 ) -> None:
     """Fill out (K, F) float32, columns as in ``FEATURE_NAMES``.
 
-    points (M, 3) float32 grouped by offsets (K + 1,), none of the clusters empty; ground_z_m (K,) float32.
+    points (M, 3+) float32 grouped by offsets (K + 1,), none of the clusters empty; ground_z_m (K,) float32.
     ``hull_fill`` is 0 without ``hull``, ``BAND_NAMES`` are without ``bands``. Of a cluster with
     ``MOST_POINTS`` points or more every second, third ... point is looked at.
     """

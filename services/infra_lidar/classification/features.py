@@ -56,7 +56,7 @@ def compute_features(
     """The features ``names`` of K clusters.
 
     Args:
-        points: (M, 3) float32, metres, in the level frame with the sensor above (0, 0); grouped by cluster.
+        points: (M, 3+) float32, x, y, z in metres, in the level frame with the sensor above (0, 0); grouped by cluster.
         offsets: (K + 1,) integers, cluster k is ``points[offsets[k]:offsets[k + 1]]``.
         ground_z_m: (K,) height of the local ground under each cluster, metres, in the frame of ``points``.
         names: which features, in which order (see ``FEATURE_SETS``).
@@ -81,8 +81,8 @@ def compute_features(
 
 
 def _check(points: np.ndarray, offsets: np.ndarray, ground: np.ndarray) -> None:
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"points: expected shape (M, 3), got {points.shape}")
+    if points.ndim != 2 or points.shape[1] < 3:
+        raise ValueError(f"points: expected shape (M, 3+), got {points.shape}")
     if offsets.ndim != 1 or len(offsets) != len(ground) + 1:
         raise ValueError(f"offsets: expected {len(ground) + 1} values for {len(ground)} clusters, got {offsets.shape}")
     if offsets[0] != 0 or offsets[-1] != len(points):

@@ -10,13 +10,12 @@ import numpy as np
 from services.infra_lidar.jit import kernel
 
 
-class Groups(NamedTuple):
-    """Clusters while they are split and merged.
+class ClusterPoints(NamedTuple):
+    """K clusters of one frame in the level frame.
 
-    points: (S, 4) float32 rows x, y, z (m, level frame) and height above the local road (m), grouped by cluster.
-    members: (S,) int32, index of the same points in the frame. offsets: (K + 1,) int32, cluster k is
-    offsets[k]:offsets[k + 1]. box: (K, 8) float32: centre x, y, z, length, width, height (m), yaw (rad), gap to the
-    road (m).
+    points: (S, 4) float32 rows x, y, z (m) and height above the local road (m), grouped: cluster k is rows
+    offsets[k]:offsets[k + 1]. members: (S,) int32, index of the same points in the frame. offsets: (K + 1,) int32.
+    box: (K, 8) float32: centre x, y, z, length, width, height (m), yaw (rad), gap to the road (m).
     """
 
     points: np.ndarray
@@ -24,9 +23,25 @@ class Groups(NamedTuple):
     offsets: np.ndarray
     box: np.ndarray
 
+    @property
+    def counts(self) -> np.ndarray:
+        """(K,) int32 number of points of each cluster."""
+        return np.diff(self.offsets)
+
+    def cluster_id(self, n: int) -> np.ndarray:
+        """(N,) int32: the cluster of each point of a frame of n, -1 = none."""
+        return of_points(self.members, self.offsets, n)
+
+
+def of_points(members: np.ndarray, offsets: np.ndarray, n: int) -> np.ndarray:
+    """(N,) int32: the cluster of each point of a frame of n, -1 = none; members and offsets of ``ClusterPoints``."""
+    of_point = np.full(n, -1, np.int32)
+    of_point[members] = np.repeat(np.arange(len(offsets) - 1, dtype=np.int32), np.diff(offsets))
+    return of_point
+
 
 @kernel
-def group_by_label(points: np.ndarray, index: np.ndarray, label: np.ndarray, most: int) -> Groups:
+def group_by_label(points: np.ndarray, index: np.ndarray, label: np.ndarray, most: int) -> ClusterPoints:
     """Points sorted by label, with the box of each group: a stable counting sort.
 
     points (M, 4) float32; index, label (M,) int32. Points of label -1 are left out, and labels with more than ``most``
@@ -53,12 +68,12 @@ def group_by_label(points: np.ndarray, index: np.ndarray, label: np.ndarray, mos
             for column in range(4):
                 grouped[to, column] = points[i, column]
     offsets = offsets[: groups + 1]
-    return Groups(grouped, members, offsets, fit_boxes(grouped, offsets))
+    return ClusterPoints(grouped, members, offsets, fit_boxes(grouped, offsets))
 
 
 @kernel
 def fit_boxes(points: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """(K, 8) float32 boxes of groups of points (S, 4) float32, as in ``Groups``.
+    """(K, 8) float32 boxes of groups of points (S, 4) float32, as in ``ClusterPoints``.
 
     The length is along the larger principal axis of the footprint.
     """
@@ -110,13 +125,13 @@ def _principal_axis(points: np.ndarray) -> tuple[np.float32, np.float32]:
 
 
 @kernel
-def join_groups(groups: Groups, group: np.ndarray, kept: np.ndarray) -> Groups:
+def join_clusters(clusters: ClusterPoints, group: np.ndarray, kept: np.ndarray) -> ClusterPoints:
     """Clusters joined and selected.
 
     group: (K,) int32, the smallest index of the clusters that each one is joined with. kept: (K,) bool, by the same
     index, the joined clusters to keep.
     """
-    offsets, total, number = groups.offsets, 0, 0
+    offsets, total, number = clusters.offsets, 0, 0
     for k in range(len(group)):
         total += offsets[k + 1] - offsets[k] if kept[group[k]] else 0
         number += group[k] == k and kept[k]
@@ -125,7 +140,7 @@ def join_groups(groups: Groups, group: np.ndarray, kept: np.ndarray) -> Groups:
         if group[k] != k:
             following[last[group[k]]] = k
             last[group[k]] = k
-    out = Groups(
+    out = ClusterPoints(
         np.empty((total, 4), np.float32), np.empty(total, np.int32), np.zeros(number + 1, np.int32),
         np.empty((number, 8), np.float32),
     )  # fmt: skip
@@ -135,43 +150,23 @@ def join_groups(groups: Groups, group: np.ndarray, kept: np.ndarray) -> Groups:
             continue
         k = first
         while k >= 0:
-            to, k = _append_points(groups, k, out, to), following[k]
+            to, k = _append_points(clusters, k, out, to), following[k]
         if following[first] >= 0:
             fit_box(out.points[out.offsets[at] : to], out.box[at])
         else:
             for column in range(out.box.shape[1]):
-                out.box[at, column] = groups.box[first, column]
+                out.box[at, column] = clusters.box[first, column]
         at += 1
         out.offsets[at] = to
     return out
 
 
 @kernel
-def _append_points(groups: Groups, k: int, out: Groups, to: np.uint32) -> np.uint32:
+def _append_points(clusters: ClusterPoints, k: int, out: ClusterPoints, to: np.uint32) -> np.uint32:
     """Copy the points of cluster k to the rows of ``out`` from ``to`` on; returns the row after them."""
-    for i in range(groups.offsets[k], groups.offsets[k + 1]):
-        out.members[to] = groups.members[i]
+    for i in range(clusters.offsets[k], clusters.offsets[k + 1]):
+        out.members[to] = clusters.members[i]
         for column in range(4):
-            out.points[to, column] = groups.points[i, column]
+            out.points[to, column] = clusters.points[i, column]
         to += np.uint32(1)
     return to
-
-
-@kernel
-def keep_groups(groups: Groups, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Points (S, 3) float32, members, offsets and box of the clusters with ``kept`` (K,) bool, as in ``Groups``."""
-    box = groups.box[kept]
-    offsets, at = np.zeros(len(box) + 1, np.int32), 0
-    for k in range(len(kept)):
-        if kept[k]:
-            offsets[at + 1] = offsets[at] + groups.offsets[k + 1] - groups.offsets[k]
-            at += 1
-    points, members, to = np.empty((offsets[at], 3), np.float32), np.empty(offsets[at], np.int32), np.uint32(0)
-    for k in range(len(kept)):
-        if kept[k]:
-            for i in range(groups.offsets[k], groups.offsets[k + 1]):
-                members[to] = groups.members[i]
-                points[to, 0], points[to, 1] = groups.points[i, 0], groups.points[i, 1]
-                points[to, 2] = groups.points[i, 2]
-                to += np.uint32(1)
-    return points, members, offsets, box

@@ -8,12 +8,10 @@ them. Groups of people are split by their heads and fragments of vehicles merged
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from services.infra_lidar.clustering.attach_returns import attach_single_returns
-from services.infra_lidar.clustering.boxes import Groups, group_by_label, join_groups, keep_groups
+from services.infra_lidar.clustering.boxes import ClusterPoints, group_by_label, join_clusters
 from services.infra_lidar.clustering.grid import CellGrid, cells_of
 from services.infra_lidar.clustering.label import (
     CellLabeller,
@@ -26,40 +24,6 @@ from services.infra_lidar.clustering.merge_vehicles import footprints, merge_fra
 from services.infra_lidar.clustering.split_people import split_pedestrian_groups
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.segmentation.ground import Obstacles
-
-
-@dataclass(frozen=True)
-class ClusterPoints:
-    """Clusters of one frame in the level frame.
-
-    points: (S, 3) float32 rows x, y, z (m), grouped: cluster k is rows offsets[k]:offsets[k + 1]. members: (S,) int32,
-    index of the same points in the frame. offsets: (K + 1,) int32. box: (K, 8) float32: centre x, y, z, length, width,
-    height (m), yaw (rad), gap to the road (m).
-    """
-
-    points: np.ndarray
-    members: np.ndarray
-    offsets: np.ndarray
-    box: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.box)
-
-    @property
-    def counts(self) -> np.ndarray:
-        """(K,) int32 number of points of each cluster."""
-        return np.diff(self.offsets)
-
-    def cluster_id(self, n: int) -> np.ndarray:
-        """(N,) int32: the cluster of each point of a frame of n, -1 = none."""
-        return of_points(self.members, self.offsets, n)
-
-
-def of_points(members: np.ndarray, offsets: np.ndarray, n: int) -> np.ndarray:
-    """(N,) int32: the cluster of each point of a frame of n, -1 = none; members and offsets of ``ClusterPoints``."""
-    of_point = np.full(n, -1, np.int32)
-    of_point[members] = np.repeat(np.arange(len(offsets) - 1, dtype=np.int32), np.diff(offsets))
-    return of_point
 
 
 class Clustering:
@@ -78,22 +42,22 @@ class Clustering:
         label = self._label(points)
 
         # Points sorted by component, each with its box
-        groups = group_by_label(points, obstacles.index, label, config.max_points)
+        found = group_by_label(points, obstacles.index, label, config.max_points)
 
         # Groups of pedestrians are split by their heads
-        is_person = np.zeros(len(groups.box), np.bool_)
+        is_person = np.zeros(len(found.box), np.bool_)
         if config.split == "heads":
-            groups, is_person = split_pedestrian_groups(groups, self._grid.scale, config.min_points)
+            found, is_person = split_pedestrian_groups(found, self._grid.scale, config.min_points)
 
         # Fragments and single returns of one vehicle are merged
         if config.merge == "fragments":
-            foot, counts = footprints(groups.box), np.diff(groups.offsets)
-            group = merge_fragments(groups.box, foot, counts, is_person)
+            foot, counts = footprints(found.box), found.counts
+            group = merge_fragments(found.box, foot, counts, is_person)
             attach_single_returns(foot, counts, config.min_points, group)
-            groups = join_groups(groups, group, np.bincount(group, counts, len(group)) >= config.min_points)
+            found = join_clusters(found, group, np.bincount(group, counts, len(group)) >= config.min_points)
 
         # What has a possible size is kept
-        return ClusterPoints(*keep_groups(groups, self._has_possible_size(groups)))
+        return join_clusters(found, np.arange(len(found.box)), self._has_possible_size(found))
 
     def _label(self, points: np.ndarray) -> np.ndarray:
         """(M,) int32 component of each point, -1 = none."""
@@ -113,9 +77,9 @@ class Clustering:
             drop_strays(above_m, label, components)
         return label
 
-    def _has_possible_size(self, groups: Groups) -> np.ndarray:
+    def _has_possible_size(self, found: ClusterPoints) -> np.ndarray:
         """(K,) bool."""
-        config, count, box = self._config, np.diff(groups.offsets), groups.box
+        config, count, box = self._config, found.counts, found.box
         possible = (count >= config.min_points) & (count <= config.max_points) & (box[:, 5] <= config.max_height_m)
         possible &= box[:, 7] + box[:, 5] >= config.min_top_m
         return np.asarray(possible & (np.hypot(box[:, 3], box[:, 4]) <= config.max_diagonal_m))

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from services.infra_lidar.clustering.boxes import Groups, fit_box, group_by_label
+from services.infra_lidar.clustering.boxes import ClusterPoints, fit_box, group_by_label
 from services.infra_lidar.clustering.grid import CellScale
 from services.infra_lidar.jit import kernel
 
@@ -29,24 +29,26 @@ STEPS_PER_CELL, MAX_STEPS, DIP_CELLS = 4, 64, 0.5  # the length of a dip: two co
 
 
 @kernel
-def split_pedestrian_groups(groups: Groups, scale: CellScale, min_points: int) -> tuple[Groups, np.ndarray]:
+def split_pedestrian_groups(
+    clusters: ClusterPoints, scale: CellScale, min_points: int
+) -> tuple[ClusterPoints, np.ndarray]:
     """Clusters with groups of pedestrians split, and (K,) bool, which of them are parts of such a group.
 
     The points of a group that is split are rearranged in place.
     """
     heads, more = np.empty((MAX_HEADS, 2), np.float32), 0
-    sizes = np.zeros((len(groups.box), MAX_HEADS), np.int32)
-    for k in range(len(groups.box)):
-        first, last = groups.offsets[k], groups.offsets[k + 1]
+    sizes = np.zeros((len(clusters.box), MAX_HEADS), np.int32)
+    for k in range(len(clusters.box)):
+        first, last = clusters.offsets[k], clusters.offsets[k + 1]
         sizes[k, 0] = last - first
-        if last - first < 2 * min_points or not _may_be_people(groups.box[k]):
+        if last - first < 2 * min_points or not _may_be_people(clusters.box[k]):
             continue
-        points = groups.points[first:last]
-        cell_m = (1.0 + math.hypot(groups.box[k, 0], groups.box[k, 1]) * scale.growth_per_m) / scale.per_m
+        points = clusters.points[first:last]
+        cell_m = (1.0 + math.hypot(clusters.box[k, 0], clusters.box[k, 1]) * scale.growth_per_m) / scale.per_m
         number = _find_heads(points, cell_m, heads)
         if number > 1:
-            more += _split(points, groups.members[first:last], heads[:number], min_points, sizes[k]) - 1
-    return _with_parts(groups, sizes, len(groups.box) + more)
+            more += _split(points, clusters.members[first:last], heads[:number], min_points, sizes[k]) - 1
+    return _with_parts(clusters, sizes, len(clusters.box) + more)
 
 
 @kernel
@@ -156,8 +158,8 @@ def _split(points: np.ndarray, members: np.ndarray, heads: np.ndarray, min_point
 
 
 @kernel
-def _with_parts(groups: Groups, sizes: np.ndarray, total: int) -> tuple[Groups, np.ndarray]:
-    """``groups`` with an entry for each of the ``total`` parts of sizes (K, MAX_HEADS), 0 = none; and which are new."""
+def _with_parts(clusters: ClusterPoints, sizes: np.ndarray, total: int) -> tuple[ClusterPoints, np.ndarray]:
+    """The clusters as ``total`` parts of sizes (K, MAX_HEADS), 0 = none; and (total,) bool, which are new."""
     offsets, box = np.zeros(total + 1, np.int32), np.empty((total, 8), np.float32)
     is_part, at = np.zeros(total, np.bool_), 0
     for k in range(len(sizes)):
@@ -167,9 +169,9 @@ def _with_parts(groups: Groups, sizes: np.ndarray, total: int) -> tuple[Groups, 
             offsets[at + 1] = offsets[at] + sizes[k, h]
             is_part[at] = sizes[k, 1] > 0
             if is_part[at]:
-                fit_box(groups.points[offsets[at] : offsets[at + 1]], box[at])
+                fit_box(clusters.points[offsets[at] : offsets[at + 1]], box[at])
             else:
                 for column in range(box.shape[1]):
-                    box[at, column] = groups.box[k, column]
+                    box[at, column] = clusters.box[k, column]
             at += 1
-    return Groups(groups.points, groups.members, offsets, box), is_part
+    return ClusterPoints(clusters.points, clusters.members, offsets, box), is_part

@@ -10,7 +10,7 @@ import numpy as np
 from services.infra_lidar.calibration.monitor import CalibrationMonitor
 from services.infra_lidar.calibration.plane_fit import Calibration
 from services.infra_lidar.classification.classes import BACKGROUND
-from services.infra_lidar.clustering.clustering import ClusterPoints
+from services.infra_lidar.clustering.boxes import ClusterPoints
 from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.input.range_image import Returns, count_of, points_of, sample_of
 from services.infra_lidar.segmentation.background import Background, BackgroundMask, BackgroundModel, Foreground
@@ -121,18 +121,14 @@ class Scene:
             return np.zeros(len(returns), bool)
         return BackgroundMask(returns, self.background.model, foreground.index).mask
 
-    def mark_static(
-        self, segmentation: Segmentation, clusters: ClusterPoints, ground_z_m: np.ndarray, classes: np.ndarray
-    ) -> None:
+    def mark_static(self, segmentation: Segmentation, clusters: ClusterPoints, classes: np.ndarray) -> None:
         """Write background into classes (K,) int64 where clusters lie within fixed things.
 
         Does nothing in frames from which no background was subtracted.
-
-        ground_z_m: (K,) float32 height of the local road (m), level frame.
         """
         model = self.background.model
         if segmentation.background_subtracted and model is not None and model.static_map.size:
-            share = self._map_cells.share_within(model.static_map, clusters, ground_z_m)
+            share = self._map_cells.share_within(model.static_map, clusters)
             classes[share >= MIN_SHARE] = BACKGROUND
 
     def on_drop(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:

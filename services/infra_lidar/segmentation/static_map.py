@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.clustering.clustering import ClusterPoints
+from services.infra_lidar.clustering.boxes import ClusterPoints
 from services.infra_lidar.clustering.grid import CellGrid, cells_of
 from services.infra_lidar.config import ClusteringConfig
-from services.infra_lidar.jit import kernel
 from services.infra_lidar.segmentation.ground import Obstacles
 
 LOW, HIGH = 0, 1  # layers: below and above a body's height
@@ -36,27 +35,10 @@ class MapCells:
         layer = np.where(points[:, 3] >= self._body_m, HIGH, LOW)
         return np.asarray(layer * self._grid.side**2 + cells_of(points, self._grid.scale))
 
-    def share_within(self, static_map: np.ndarray, clusters: ClusterPoints, ground_z_m: np.ndarray) -> np.ndarray:
-        """(K,) share of the points of each cluster within fixed things; ground_z_m: (K,) height of the road there."""
-        cell, layer_z_m = cells_of(clusters.points, self._grid.scale), ground_z_m + np.float32(self._body_m)
-        return _share_of_each(static_map.reshape(2, -1), cell, clusters.points, clusters.offsets, layer_z_m)
-
-
-@kernel
-def _share_of_each(
-    layers: np.ndarray, cell: np.ndarray, points: np.ndarray, offsets: np.ndarray, layer_z_m: np.ndarray
-) -> np.ndarray:
-    """(K,) share of the points (M, 3) of each cluster in marked cells of layers (2, side * side) bool.
-
-    cell (M,) int32; cluster k is rows offsets[k]:offsets[k + 1], and its second layer begins at layer_z_m[k].
-    """
-    share = np.zeros(len(layer_z_m))
-    for k in range(len(share)):
-        within = 0
-        for i in range(offsets[k], offsets[k + 1]):
-            within += layers[HIGH if points[i, 2] >= layer_z_m[k] else LOW, cell[i]]
-        share[k] = within / (offsets[k + 1] - offsets[k])
-    return share
+    def share_within(self, static_map: np.ndarray, clusters: ClusterPoints) -> np.ndarray:
+        """(K,) share of the points of each cluster within fixed things."""
+        within = np.concatenate(([0], np.cumsum(static_map.ravel()[self.cells(clusters.points)])))
+        return np.asarray(np.diff(within[clusters.offsets]) / clusters.counts)
 
 
 class Occupancy:

@@ -13,7 +13,8 @@ import numpy as np
 
 from services.infra_lidar.calibration.monitor import CalibrationMonitor
 from services.infra_lidar.classification.classes import CLASSES
-from services.infra_lidar.clustering.clustering import Clustering, ClusterPoints
+from services.infra_lidar.clustering.boxes import ClusterPoints
+from services.infra_lidar.clustering.clustering import Clustering
 from services.infra_lidar.config import CalibrationConfig, InfraLidarConfig
 from services.infra_lidar.segmentation.ground import Ground
 from services.infra_lidar.training.clusters import LabelledClusters, collect
@@ -89,7 +90,8 @@ def cut(view: Scan, steps: Steps, T_level_sensor: np.ndarray) -> SceneFrame:
 
 
 def _truth(view: Scan, found: ClusterPoints) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    labels, purity, actor = np.zeros(len(found), np.int64), np.zeros(len(found)), np.full(len(found), -1, np.int64)
+    number = len(found.box)
+    labels, purity, actor = np.zeros(number, np.int64), np.zeros(number), np.full(number, -1, np.int64)
     for k, rows in enumerate(np.split(found.members, found.offsets[1:-1])):
         owners, first, count = np.unique(view.actor_id[rows], return_index=True, return_counts=True)
         best = int(count.argmax())
@@ -123,7 +125,7 @@ def pure_clusters(frames: Iterable[tuple[int, SceneFrame]]) -> LabelledClusters:
     for group, frame in frames:
         offsets = frame.clusters.offsets
         for k in np.flatnonzero(frame.purity >= PURE):
-            clusters.append(frame.clusters.points[offsets[k] : offsets[k + 1]])
+            clusters.append(frame.clusters.points[offsets[k] : offsets[k + 1], :3])
             ground.append(float(frame.road_z_m[k]))
             labels.append(int(frame.labels[k]))
             groups.append(group)

@@ -29,15 +29,15 @@ def _own(found, owner):
 
 def test_two_people_half_a_metre_apart_near_the_pole():
     found, owner = _cluster(solid(8, 0, 0.4, 0.4, 0.2, 1.7), solid(8, 0.9, 0.4, 0.4, 0.2, 1.7))
-    assert len(found) == 2
+    assert len(found.box) == 2
     assert all(len(c) == 1 for c in _own(found, owner))
 
 
 def test_a_sparse_far_car_stays_whole_where_fixed_cells_break_it():
     car = solid(60, 0, 4.2, 1.8, 0.2, 1.5, n=60)
-    assert len(_cluster(car)[0]) == 1
+    assert len(_cluster(car)[0].box) == 1
     fixed = ClusteringConfig(cell_m=0.15, cell_growth_m=0.0, merge="off")
-    assert len(_cluster(car, config=fixed)[0]) != 1
+    assert len(_cluster(car, config=fixed)[0].box) != 1
 
 
 def test_a_canopy_does_not_join_the_cars_below():
@@ -49,7 +49,7 @@ def test_a_canopy_does_not_join_the_cars_below():
     assert not of_car_a & of_car_b
     assert not (of_car_a | of_car_b) & of_canopy
     all_heights = ClusteringConfig(body_height_m=0.0)
-    assert len(_cluster(*cars, canopy, config=all_heights)[0]) < 3
+    assert len(_cluster(*cars, canopy, config=all_heights)[0].box) < 3
 
 
 def test_a_car_at_the_foot_of_what_is_higher_than_any_vehicle_is_not_lost():
@@ -90,7 +90,7 @@ def test_a_roof_below_a_crown_stays_with_its_car():
 
 def test_a_bus_keeps_its_roof():
     found, _ = _cluster(solid(15, 0, 12, 2.5, 0.3, 3.2, n=6000))
-    assert len(found) == 1
+    assert len(found.box) == 1
     assert found.box[0, 5] == pytest.approx(2.9, abs=0.1)
     assert found.box[0, 3] == pytest.approx(12, abs=0.4)
 
@@ -133,7 +133,7 @@ def test_people_beside_a_parked_car_are_not_joined_to_it():
 )
 def test_impossible_sizes_are_dropped(part, why):
     found, owner = _cluster(part)
-    assert len(found) == 0, why
+    assert len(found.box) == 0, why
     assert (found.cluster_id(len(owner)) == -1).all()
 
 
@@ -142,8 +142,8 @@ def test_grouped_points_and_ids_agree():
     found, owner = _cluster(*parts)
     cluster_id = found.cluster_id(len(owner))
     assert np.array_equal(found.cluster_id(len(owner))[found.members], np.repeat([0, 1], found.counts))
-    for k in range(len(found)):
-        points = found.points[found.offsets[k] : found.offsets[k + 1]]
+    for k in range(len(found.box)):
+        points = found.points[found.offsets[k] : found.offsets[k + 1], :3]
         assert len(points) == (cluster_id == k).sum() == found.counts[k]
         mine = found.members[found.offsets[k] : found.offsets[k + 1]]
         assert np.array_equal(points, np.vstack(parts).astype(np.float32)[mine])
@@ -167,7 +167,7 @@ def _own_cluster_shares(frames, steps):
             best = int(count.argmax())
             total[kind] += 1
             good[kind] += (
-                bool(len(found)) and count[best] >= 0.5 * mine.sum() and count[best] > 0.5 * found.counts[best]
+                bool(len(found.box)) and count[best] >= 0.5 * mine.sum() and count[best] > 0.5 * found.counts[best]
             )
     return {kind: good[kind] / total[kind] for kind in total}
 
@@ -192,13 +192,13 @@ def test_cells_that_touch_at_a_corner_and_cells_of_one_point(min_cell_points, co
         cell_m=1.0, cell_growth_m=0.0, min_points=4, merge="off", split="off",
         min_cell_points=min_cell_points, connectivity=connectivity,
     )  # fmt: skip
-    assert len(_cluster(stairs, config=config)[0]) == clusters
+    assert len(_cluster(stairs, config=config)[0].box) == clusters
 
 
 def test_an_empty_frame():
     found, _ = _cluster(np.zeros((0, 3)), np.zeros((0, 3)))
-    assert len(found) == 0
-    assert found.points.shape == (0, 3)
+    assert len(found.box) == 0
+    assert found.points.shape == (0, 4)
 
 
 def test_clusters_outlive_the_next_frame():
@@ -227,7 +227,9 @@ def test_every_point_is_in_one_cluster_at_most_whatever_is_attached(seed):
     found, owner = _cluster(*ends, pieces)
     assert len(np.unique(found.members)) == len(found.members) == found.offsets[-1] == found.counts.sum()
     assert (found.counts >= ClusteringConfig().min_points).all()
-    assert np.array_equal(found.cluster_id(len(owner))[found.members], np.repeat(np.arange(len(found)), found.counts))
+    assert np.array_equal(
+        found.cluster_id(len(owner))[found.members], np.repeat(np.arange(len(found.box)), found.counts)
+    )
 
 
 @pytest.mark.parametrize(

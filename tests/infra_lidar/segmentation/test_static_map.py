@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from services.infra_lidar.clustering.clustering import ClusterPoints
+from services.infra_lidar.clustering.boxes import ClusterPoints
 from services.infra_lidar.clustering.grid import CellGrid
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.segmentation.ground import Obstacles
@@ -20,15 +20,16 @@ def _obstacles(*parts):
     return Obstacles(np.column_stack((xyz, xyz[:, 2])), np.arange(n, dtype=np.int32), np.zeros(n, bool))
 
 
-def _clusters(points, counts):
+def _clusters(points, counts, road_z_m=0.0):
     offsets = np.append(0, np.cumsum(counts)).astype(np.int32)
     members = np.arange(len(points), dtype=np.int32)
     box = np.zeros((len(counts), 8), np.float32)
-    return ClusterPoints(points=points.astype(np.float32), members=members, offsets=offsets, box=box)
+    points = np.column_stack((points, points[:, 2] - road_z_m)).astype(np.float32)
+    return ClusterPoints(points=points, members=members, offsets=offsets, box=box)
 
 
 def _is_within(drawn, part):
-    share = MapCells(CONFIG, 100.0).share_within(drawn, _clusters(part, [len(part)]), np.zeros(1, np.float32))
+    share = MapCells(CONFIG, 100.0).share_within(drawn, _clusters(part, [len(part)]))
     return bool(share[0] >= MIN_SHARE)
 
 
@@ -93,7 +94,7 @@ def test_before_the_first_frame_nothing_is_fixed():
 
 
 def test_no_clusters():
-    share = MapCells(CONFIG, 100.0).share_within(_drawn(), _clusters(np.zeros((0, 3)), []), np.zeros(0, np.float32))
+    share = MapCells(CONFIG, 100.0).share_within(_drawn(), _clusters(np.zeros((0, 3)), []))
     assert share.shape == (0,)
 
 
@@ -105,15 +106,15 @@ def test_the_share_counts_the_points_on_marked_cells_of_their_layer(growth_m):
     static_map = rng.random((2, side, side)) < MIN_SHARE
     counts = rng.integers(1, 80, 300)
     points = rng.uniform([-140, -140, 0], [140, 140, 4], (counts.sum(), 3)).astype(np.float32)  # some beyond the grid
-    road_z_m = rng.uniform(-1, 1, len(counts)).astype(np.float32)
+    road_z_m = rng.uniform(-1, 1, len(points)).astype(np.float32)
 
     radius, c = np.hypot(points[:, 0], points[:, 1]), config.cell_m
     stretch = growth_m * np.log1p(radius / growth_m) / radius if growth_m else np.ones(len(points))
     column, row = (np.floor(points[:, k] * stretch / c).astype(int) + side // 2 for k in (0, 1))
-    layer = (points[:, 2] >= np.repeat(road_z_m + body_m, counts)).astype(int)
+    layer = (points[:, 2] - road_z_m >= body_m).astype(int)
     hit = static_map[layer, np.clip(row, 0, side - 1), np.clip(column, 0, side - 1)]
     expected = [part.mean() for part in np.split(hit, np.cumsum(counts)[:-1])]
-    share = MapCells(config, 100.0).share_within(static_map, _clusters(points, counts), road_z_m)
+    share = MapCells(config, 100.0).share_within(static_map, _clusters(points, counts, road_z_m))
     apart = np.abs(share - expected) * counts  # a point on the edge of a cell may go either way
     assert apart.max() < 1.5
     assert apart.mean() < 0.02
