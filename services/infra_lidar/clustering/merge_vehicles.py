@@ -91,8 +91,8 @@ def _nearest_corner(box: np.ndarray, other: np.ndarray) -> np.float32:
 def merge_fragments(box: np.ndarray, foot: np.ndarray, counts: np.ndarray, is_person: np.ndarray) -> np.ndarray:
     """(K,) int32: for each cluster the smallest index among the clusters that it is joined with.
 
-    box: (K, 8) float32 as in ``ClusterPoints``, foot: their ``footprints``, counts: (K,) points, is_person: (K,) bool, left
-    alone.
+    box: (K, 8) float32 as in ``ClusterPoints``, foot: their ``footprints``, counts: (K,) points, is_person: (K,) bool,
+    left alone.
     """
     group = np.arange(len(box)).astype(np.int32)
     following = group.copy()  # the members of a group form a ring
