@@ -68,6 +68,7 @@ class EgoWatch:
         self._ordering = Ordering(LIMIT_S)
         self._newest: EgoMotion | None = None
         self._age = Age(0.0, 0.0)
+        self._pose: np.ndarray | None = None  # of the newest message
         self._poses: deque[tuple[float, np.ndarray]] = deque()  # seconds by their stamps, oldest first
         roadside = config.roadside
         self._configured = pose_2d(roadside.pose_x_m, roadside.pose_y_m, roadside.pose_yaw_rad)
@@ -76,8 +77,10 @@ class EgoWatch:
         """Accept a message; or say why not: a repetition, or older than what we have."""
         refused = self._ordering.check(received, "")
         if not refused:
-            self._newest, self._age = received.message, age_of(received, clock)
-            self._note_pose(received.message)
+            message = received.message
+            self._newest, self._age = message, age_of(received, clock)
+            self._pose = None if message.T_map_vehicle is None else rigid(np.array(message.T_map_vehicle, float))
+            self._note_pose(message.stamp_ns * 1e-9)
         return refused
 
     def now(self, now_s: float) -> Vehicle:
@@ -89,18 +92,16 @@ class EgoWatch:
         if not in_time:
             return Vehicle(None, None, None, self._configured if message.T_map_vehicle is None else None)
         moving = None if message.speed_mps is None else abs(message.speed_mps) >= self._config.moving_mps
-        pose = self._configured if message.T_map_vehicle is None else rigid(np.array(message.T_map_vehicle, float))
+        pose = self._configured if message.T_map_vehicle is None else self._pose
         moved, is_configured = moved_by(self._poses), message.T_map_vehicle is None
         known = (moving, message.speed_mps, message.yaw_rate_radps, pose, message.source_kind)
         return Vehicle(*known, moved, is_configured)
 
-    def _note_pose(self, message: EgoMotion) -> None:
-        at_s = message.stamp_ns * 1e-9
+    def _note_pose(self, at_s: float) -> None:
         if self._poses and not 0.0 < at_s - self._poses[-1][0] <= LIMIT_S:
             self._poses.clear()  # a gap, or their clock stepped
-        pose = None if message.T_map_vehicle is None else rigid(np.array(message.T_map_vehicle, float))
-        if pose is not None:
-            self._poses.append((at_s, pose))
+        if self._pose is not None:
+            self._poses.append((at_s, self._pose))
         while self._poses and at_s - self._poses[0][0] > POSES_S:
             self._poses.popleft()
 
