@@ -136,6 +136,17 @@ def test_files_are_short_and_functions_take_few_arguments() -> None:
     assert not found
 
 
+def test_helpers_of_tests_take_few_arguments() -> None:
+    """What a test itself takes are fixtures and the columns of its table."""
+    helpers = [
+        f"{path.name}:{name}"
+        for path in (REPOSITORY / "tests").rglob("*.py")
+        for name in long_signatures(path.read_text())
+        if not name.startswith("test_")
+    ]
+    assert not helpers
+
+
 @pytest.mark.parametrize(
     "source",
     ["import services.jetson.lidar", "from spotter_tools import cli", "import_module(f'services.{name}.reprocess')"],

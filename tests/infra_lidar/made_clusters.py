@@ -6,8 +6,9 @@ from services.infra_lidar.clustering.clustering import Clustering
 from services.infra_lidar.segmentation.ground import Obstacles
 
 
-def solid(x, y, length, width, low, high, n=400, seed=0):
-    """(n, 3) points inside an upright block."""
+def solid(middle, size, heights, n=400, seed=0):
+    """(n, 3) points inside an upright block: its middle x, y, its size along x and y, its lowest and highest z (m)."""
+    (x, y), (length, width), (low, high) = middle, size, heights
     rng = np.random.default_rng(seed)
     return rng.uniform([x - length / 2, y - width / 2, low], [x + length / 2, y + width / 2, high], (n, 3))
 

@@ -28,21 +28,21 @@ def _own(found, owner):
 
 
 def test_two_people_half_a_metre_apart_near_the_pole():
-    found, owner = _cluster(solid(8, 0, 0.4, 0.4, 0.2, 1.7), solid(8, 0.9, 0.4, 0.4, 0.2, 1.7))
+    found, owner = _cluster(solid((8, 0), (0.4, 0.4), (0.2, 1.7)), solid((8, 0.9), (0.4, 0.4), (0.2, 1.7)))
     assert len(found.box) == 2
     assert all(len(c) == 1 for c in _own(found, owner))
 
 
 def test_a_sparse_far_car_stays_whole_where_fixed_cells_break_it():
-    car = solid(60, 0, 4.2, 1.8, 0.2, 1.5, n=60)
+    car = solid((60, 0), (4.2, 1.8), (0.2, 1.5), n=60)
     assert len(_cluster(car)[0].box) == 1
     fixed = ClusteringConfig(cell_m=0.15, cell_growth_m=0.0, merge="off")
     assert len(_cluster(car, config=fixed)[0].box) != 1
 
 
 def test_a_canopy_does_not_join_the_cars_below():
-    cars = solid(10, 0, 4.2, 1.8, 0.2, 1.5), solid(10, 4, 4.2, 1.8, 0.2, 1.5)
-    canopy = solid(10, 2, 7.0, 7.0, 2.6, 4.4, n=3000)
+    cars = solid((10, 0), (4.2, 1.8), (0.2, 1.5)), solid((10, 4), (4.2, 1.8), (0.2, 1.5))
+    canopy = solid((10, 2), (7.0, 7.0), (2.6, 4.4), n=3000)
     found, owner = _cluster(*cars, canopy)
     of_car_a, of_car_b, of_canopy = _own(found, owner)
     assert len(of_car_a) == len(of_car_b) == 1
@@ -54,8 +54,8 @@ def test_a_canopy_does_not_join_the_cars_below():
 
 def test_a_car_at_the_foot_of_what_is_higher_than_any_vehicle_is_not_lost():
     """A trunk that touches it, and its crown up to 7 m: the crown is a thing of its own."""
-    car = solid(12, 0, 4.2, 1.8, 0.2, 1.5, n=600)
-    trunk, crown = solid(12, 1.05, 0.4, 0.4, 0.2, 6.0, n=600), solid(12, 2.5, 5.0, 5.0, 3.0, 7.0, n=2000)
+    car = solid((12, 0), (4.2, 1.8), (0.2, 1.5), n=600)
+    trunk, crown = solid((12, 1.05), (0.4, 0.4), (0.2, 6.0), n=600), solid((12, 2.5), (5.0, 5.0), (3.0, 7.0), n=2000)
     found, owner = _cluster(car, trunk, crown)
     cluster = np.bincount(found.cluster_id(len(owner))[owner == 0] + 1)[1:].argmax()
     assert found.box[cluster, 5] < 2.2
@@ -69,8 +69,8 @@ def test_a_car_at_the_foot_of_what_is_higher_than_any_vehicle_is_not_lost():
 
 def test_branches_that_hang_beside_a_car_do_not_tie_it_to_the_tree():
     """The trunk is 3 m away; the crown begins at 1.2 m and reaches the car's side."""
-    car = solid(12, 0, 4.2, 1.8, 0.2, 1.5, n=600)
-    trunk, crown = solid(12, 4.0, 0.4, 0.4, 0.2, 6.0, n=600), solid(12, 3.5, 5.0, 5.2, 1.2, 7.0, n=4000)
+    car = solid((12, 0), (4.2, 1.8), (0.2, 1.5), n=600)
+    trunk, crown = solid((12, 4.0), (0.4, 0.4), (0.2, 6.0), n=600), solid((12, 3.5), (5.0, 5.2), (1.2, 7.0), n=4000)
     found, owner = _cluster(car, trunk, crown)
     of_car = found.cluster_id(len(owner))[owner == 0]
     (cluster,) = _own(found, owner)[0]
@@ -80,8 +80,8 @@ def test_branches_that_hang_beside_a_car_do_not_tie_it_to_the_tree():
 
 def test_a_roof_below_a_crown_stays_with_its_car():
     """Of the car the near side and the roof are seen, and the crown above it."""
-    side, roof = solid(12, -0.8, 4.2, 0.2, 0.2, 1.0, n=300), solid(12, 0.2, 4.0, 1.6, 1.35, 1.5, n=300)
-    found, owner = _cluster(side, roof, solid(12, 0, 6.0, 5.0, 2.0, 7.0, n=3000))
+    side, roof = solid((12, -0.8), (4.2, 0.2), (0.2, 1.0), n=300), solid((12, 0.2), (4.0, 1.6), (1.35, 1.5), n=300)
+    found, owner = _cluster(side, roof, solid((12, 0), (6.0, 5.0), (2.0, 7.0), n=3000))
     cluster = found.cluster_id(len(owner))
     (of_side,) = set(cluster[owner == 0])
     assert np.mean(cluster[owner == 1] == of_side) > 0.9
@@ -89,15 +89,15 @@ def test_a_roof_below_a_crown_stays_with_its_car():
 
 
 def test_a_bus_keeps_its_roof():
-    found, _ = _cluster(solid(15, 0, 12, 2.5, 0.3, 3.2, n=6000))
+    found, _ = _cluster(solid((15, 0), (12, 2.5), (0.3, 3.2), n=6000))
     assert len(found.box) == 1
     assert found.box[0, 5] == pytest.approx(2.9, abs=0.1)
     assert found.box[0, 3] == pytest.approx(12, abs=0.4)
 
 
 def test_the_two_ends_of_a_hidden_bus_are_joined_and_a_cyclist_before_it_is_not():
-    ends = solid(28, -4.5, 2.4, 2.0, 0.4, 3.0, n=200), solid(28, 0.2, 2.4, 3.0, 0.4, 3.0, n=200)
-    cyclist = solid(25.6, -2.4, 0.6, 1.7, 0.2, 1.75, n=120)
+    ends = solid((28, -4.5), (2.4, 2.0), (0.4, 3.0), n=200), solid((28, 0.2), (2.4, 3.0), (0.4, 3.0), n=200)
+    cyclist = solid((25.6, -2.4), (0.6, 1.7), (0.2, 1.75), n=120)
     found, owner = _cluster(*ends, cyclist)
     one, other, rider = _own(found, owner)
     assert one == other
@@ -108,7 +108,7 @@ def test_the_two_ends_of_a_hidden_bus_are_joined_and_a_cyclist_before_it_is_not(
 
 def test_a_sign_that_hangs_beside_the_end_of_a_car_is_not_its_own():
     """Half a metre beside it and more than that above it; as seen on a labelled street."""
-    end, sign = solid(20, -4.0, 1.5, 0.7, 0.3, 1.1, n=60), solid(18.5, -4.0, 0.6, 0.4, 2.3, 2.9, n=30)
+    end, sign = solid((20, -4.0), (1.5, 0.7), (0.3, 1.1), n=60), solid((18.5, -4.0), (0.6, 0.4), (2.3, 2.9), n=30)
     found, owner = _cluster(end, sign)
     cluster = found.cluster_id(len(owner))
     of_end, of_sign = (np.bincount(cluster[owner == k] + 1).argmax() - 1 for k in (0, 1))
@@ -118,7 +118,7 @@ def test_a_sign_that_hangs_beside_the_end_of_a_car_is_not_its_own():
 
 
 def test_people_beside_a_parked_car_are_not_joined_to_it():
-    found, owner = _cluster(solid(12, 0, 4.3, 1.8, 0.2, 1.5), solid(12, 1.6, 0.5, 0.5, 0.2, 1.7))
+    found, owner = _cluster(solid((12, 0), (4.3, 1.8), (0.2, 1.5)), solid((12, 1.6), (0.5, 0.5), (0.2, 1.7)))
     car, person = _own(found, owner)
     assert not car & person
 
@@ -126,9 +126,9 @@ def test_people_beside_a_parked_car_are_not_joined_to_it():
 @pytest.mark.parametrize(
     ("part", "why"),
     [
-        (solid(10, 0, 0.5, 0.5, 0.2, 1.7, n=6), "too few points"),
-        (solid(10, 0, 30, 0.3, 0.2, 1.7, n=4000), "too long"),
-        (solid(10, 0, 1.0, 1.0, 0.16, 0.3), "too low"),
+        (solid((10, 0), (0.5, 0.5), (0.2, 1.7), n=6), "too few points"),
+        (solid((10, 0), (30, 0.3), (0.2, 1.7), n=4000), "too long"),
+        (solid((10, 0), (1.0, 1.0), (0.16, 0.3)), "too low"),
     ],
 )
 def test_impossible_sizes_are_dropped(part, why):
@@ -138,7 +138,7 @@ def test_impossible_sizes_are_dropped(part, why):
 
 
 def test_grouped_points_and_ids_agree():
-    parts = solid(8, 0, 0.5, 0.5, 0.2, 1.7), solid(20, 9, 4, 1.8, 0.2, 1.5)
+    parts = solid((8, 0), (0.5, 0.5), (0.2, 1.7)), solid((20, 9), (4, 1.8), (0.2, 1.5))
     found, owner = _cluster(*parts)
     cluster_id = found.cluster_id(len(owner))
     assert np.array_equal(found.cluster_id(len(owner))[found.members], np.repeat([0, 1], found.counts))
@@ -205,7 +205,7 @@ def test_clusters_outlive_the_next_frame():
     """Whoever trains keeps those of many frames."""
     clustering, frames = Clustering(ClusteringConfig(), 100.0), []
     for x in (8, 20):
-        xyz = solid(x, 0, 0.5, 0.5, 0.2, 1.7).astype(np.float32)
+        xyz = solid((x, 0), (0.5, 0.5), (0.2, 1.7)).astype(np.float32)
         n = len(xyz)
         frame = Obstacles(np.column_stack((xyz, xyz[:, 2])), np.arange(n, dtype=np.int32), np.zeros(n, bool))
         found = clustering.cluster(frame)
@@ -221,7 +221,7 @@ def test_clusters_outlive_the_next_frame():
 def test_every_point_is_in_one_cluster_at_most_whatever_is_attached(seed):
     """Loose pieces of several points beside tall ends: taking the first of a group of them must not lose the others."""
     rng = np.random.default_rng(seed)
-    ends = [solid(*rng.uniform([10, -8], [30, 8]), 0.4, 2.5, 0.3, 3.0, n=60, seed=seed + k) for k in range(3)]
+    ends = [solid(rng.uniform([10, -8], [30, 8]), (0.4, 2.5), (0.3, 3.0), n=60, seed=seed + k) for k in range(3)]
     loose = rng.uniform([8, -10, 0.3], [34, 10, 3.0], (60, 3))
     pieces = np.repeat(loose, 4, axis=0) + rng.uniform(-0.05, 0.05, (240, 3))
     found, owner = _cluster(*ends, pieces)
@@ -238,7 +238,7 @@ def test_every_point_is_in_one_cluster_at_most_whatever_is_attached(seed):
     ids=["three returns over the roof", "a box on the roof", "an aerial", "nothing"],
 )
 def test_few_returns_far_above_a_car_are_not_its_own(above_roof_m, number, stray):
-    car = solid(12, 0, 4.2, 1.8, 0.2, 1.5, n=600)
+    car = solid((12, 0), (4.2, 1.8), (0.2, 1.5), n=600)
     above = np.tile(np.array([12.0, 0.0, 1.5 + above_roof_m], np.float32), (number, 1))
     found, owner = _cluster(car, above)
     (k,) = _own(found, owner)[0]

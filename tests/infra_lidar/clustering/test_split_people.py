@@ -69,12 +69,12 @@ def test_a_child_beside_an_adult_is_somebody_of_its_own():
     ("thing", "what"),
     [
         (_body(8, 0), "one person"),
-        (np.vstack((_body(8, 0), solid(8, 0.32, 0.3, 0.2, 0.5, 0.9, 60))), "one with a bag"),
-        (solid(8, 0, 1.7, 0.5, 0.2, 1.7), "a wall as high as people"),
-        (np.vstack((solid(8, 0, 1.7, 0.3, 0.2, 1.0), _body(8, 0))), "a cyclist"),
-        (solid(8, 0, 2.3, 0.9, 0.2, 1.3), "the end of a car"),
-        (solid(25, 0, 1.9, 0.9, 1.16, 1.5, 60), "the roof of a car behind another"),
-        (np.vstack((solid(8, 0, 2.2, 1.0, 0.2, 1.0), _body(7.3, 0), _body(8.7, 0))), "too wide for two people"),
+        (np.vstack((_body(8, 0), solid((8, 0.32), (0.3, 0.2), (0.5, 0.9), n=60))), "one with a bag"),
+        (solid((8, 0), (1.7, 0.5), (0.2, 1.7)), "a wall as high as people"),
+        (np.vstack((solid((8, 0), (1.7, 0.3), (0.2, 1.0)), _body(8, 0))), "a cyclist"),
+        (solid((8, 0), (2.3, 0.9), (0.2, 1.3)), "the end of a car"),
+        (solid((25, 0), (1.9, 0.9), (1.16, 1.5), n=60), "the roof of a car behind another"),
+        (np.vstack((solid((8, 0), (2.2, 1.0), (0.2, 1.0)), _body(7.3, 0), _body(8.7, 0))), "too wide for two people"),
     ],
 )
 def test_what_is_no_group_stays_whole(thing, what):
@@ -87,10 +87,10 @@ def test_people_who_were_split_are_not_joined_again():
 
 
 def test_upper_bodies_behind_others_are_left_alone_and_pieces_of_a_car_are_not():
-    pieces = [(12.0, y, 0.4, 0.45) for y in (0.0, 0.9)]
-    upper = np.vstack([solid(*piece, 1.2, 1.75, n=40) for piece in pieces])
+    pieces = [((12.0, y), (0.4, 0.45)) for y in (0.0, 0.9)]
+    upper = np.vstack([solid(*piece, (1.2, 1.75), n=40) for piece in pieces])
     assert len(_cluster(upper, ClusteringConfig()).box) == 2
-    of_a_car = np.vstack([solid(*piece, 0.9, 1.45, n=40) for piece in pieces])
+    of_a_car = np.vstack([solid(*piece, (0.9, 1.45), n=40) for piece in pieces])
     assert len(_cluster(of_a_car, ClusteringConfig()).box) == 1
 
 

@@ -33,9 +33,9 @@ def _is_within(drawn, part):
     return bool(share[0] >= MIN_SHARE)
 
 
-HEDGE = solid(20, 0, 3, 12, 0.2, 2.0, 6000)
-CANOPY = solid(12, 20, 8, 8, 2.6, 4.5, 6000)
-PARKED = solid(10, -10, 4, 1.8, 0.2, 1.5, 800)
+HEDGE = solid((20, 0), (3, 12), (0.2, 2.0), n=6000)
+CANOPY = solid((12, 20), (8, 8), (2.6, 4.5), n=6000)
+PARKED = solid((10, -10), (4, 1.8), (0.2, 1.5), n=800)
 
 
 def _drawn():
@@ -53,18 +53,18 @@ def _map_of(frames, road_users):
 
 
 def test_a_piece_of_the_hedge_is_structure_and_a_person_before_it_is_not():
-    assert _is_within(_drawn(), solid(20, 2, 1.0, 1.0, 0.4, 1.8, 80, seed=1))
-    assert not _is_within(_drawn(), solid(17.6, 2, 0.5, 0.5, 0.2, 1.7, 80, seed=1))
+    assert _is_within(_drawn(), solid((20, 2), (1.0, 1.0), (0.4, 1.8), n=80, seed=1))
+    assert not _is_within(_drawn(), solid((17.6, 2), (0.5, 0.5), (0.2, 1.7), n=80, seed=1))
 
 
 def test_a_car_under_a_tree_is_no_part_of_the_tree():
-    assert not _is_within(_drawn(), solid(12, 20, 4.2, 1.8, 0.2, 1.5, 400, seed=2))
-    assert _is_within(_drawn(), solid(12, 20, 3.0, 3.0, 2.7, 4.0, 400, seed=2))
+    assert not _is_within(_drawn(), solid((12, 20), (4.2, 1.8), (0.2, 1.5), n=400, seed=2))
+    assert _is_within(_drawn(), solid((12, 20), (3.0, 3.0), (2.7, 4.0), n=400, seed=2))
 
 
 def test_a_large_cluster_is_judged_by_all_of_its_length():
-    assert _is_within(_drawn(), solid(20, 0, 2.5, 11, 0.2, 1.9, 9000, seed=3))
-    assert not _is_within(_drawn(), solid(20, 10, 2.5, 13, 0.2, 1.9, 9000, seed=3))  # a fifth of it is hedge
+    assert _is_within(_drawn(), solid((20, 0), (2.5, 11), (0.2, 1.9), n=9000, seed=3))
+    assert not _is_within(_drawn(), solid((20, 10), (2.5, 13), (0.2, 1.9), n=9000, seed=3))  # a fifth of it is hedge
 
 
 def test_what_was_a_road_user_is_not_drawn():
@@ -80,13 +80,13 @@ def test_fixed_is_what_stood_in_most_frames_and_was_mostly_called_background(fra
     calls = [(bare, 0.0)] * (10 - frames) + [(with_hedge, 1.0)] * called_road_user
     calls += [(with_hedge, 0.0)] * (frames - called_road_user)
     drawn = _map_of([o for o, _ in calls], [np.full(len(o.points), sure, np.float32) for o, sure in calls])
-    assert _is_within(drawn, solid(20, 2, 1.0, 1.0, 0.4, 1.8, 80, seed=1)) is fixed
+    assert _is_within(drawn, solid((20, 2), (1.0, 1.0), (0.4, 1.8), n=80, seed=1)) is fixed
 
 
 def test_leaves_that_return_from_other_places_in_every_frame_are_fixed():
-    frames = [_obstacles(solid(20, 0, 3, 12, 0.2, 2.0, 1500, seed=seed)) for seed in range(20)]
+    frames = [_obstacles(solid((20, 0), (3, 12), (0.2, 2.0), n=1500, seed=seed)) for seed in range(20)]
     drawn = _map_of(frames, [np.zeros(len(frame.points), np.float32) for frame in frames])
-    assert _is_within(drawn, solid(20, 0, 2.8, 11, 0.3, 1.9, 200, seed=99))
+    assert _is_within(drawn, solid((20, 0), (2.8, 11), (0.3, 1.9), n=200, seed=99))
 
 
 def test_before_the_first_frame_nothing_is_fixed():
