@@ -128,7 +128,7 @@ def demo(tree: Path, environment: dict[str, str], connect: str) -> Iterator[None
         process.wait(30)
 
 
-def untold(plan: dict[str, dict[str, Any]]) -> list[str]:
+def missing_from_plan(plan: dict[str, dict[str, Any]]) -> list[str]:
     """Where the documents and check.toml differ."""
     found = {command for page in documents() for command in commands_of(page.read_text())}
     left_out = (*OF_THE_MACHINE, *BY_THEMSELVES)
@@ -152,7 +152,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)  # in a background job it would be ignored, here and below
     plan, wrong = read_plan(), []
     if not options.only:
-        wrong = untold(plan)
+        wrong = missing_from_plan(plan)
     with place(fresh=not options.here) as one:
         for command, how in plan.items():
             if options.only not in command:

@@ -75,7 +75,7 @@ CASES: dict[str, dict[str, str]] = tomllib.loads((Path(__file__).parent / "situa
 
 
 @dataclass(frozen=True)
-class Told:
+class Output:
     """How a command ended: its last line on either stream, the exit code, and everything that it said."""
 
     last: str
@@ -101,7 +101,7 @@ class Stage:
                 message = radar(turn * 100_000_000)
                 file.add("pi0/radar/tracks", RadarTracks, encode(message), message.stamp_ns, message.stamp_ns, turn)
 
-    def run(self, words: str, interrupt: bool) -> Told:
+    def run(self, words: str, interrupt: bool) -> Output:
         """Run one command; with ``interrupt`` it gets a Ctrl-C once it is at work."""
         names = {
             "void": f"tcp/127.0.0.1:{free_port()}", "quiet": self._quiet, "lively": self._lively,
@@ -126,7 +126,7 @@ class Stage:
             said += "\nDOES NOT END"
         lines = [self._plain(line, names) for line in said.splitlines() if line.strip()]
         broken = [line for line in lines if line.startswith("BROKEN")]  # doctor goes on to look at the machine
-        return Told((broken or lines[-1:] or [""])[0], process.returncode, said)
+        return Output((broken or lines[-1:] or [""])[0], process.returncode, said)
 
     def _plain(self, line: str, names: dict[str, str]) -> str:
         """Without what differs from run to run."""
@@ -167,18 +167,18 @@ def stage() -> Iterator[Stage]:
         thread.join()
 
 
-def all_told(only: str = "", workers: int = 3) -> dict[tuple[str, str], Told]:
+def all_outputs(only: str = "", workers: int = 3) -> dict[tuple[str, str], Output]:
     """By command and situation."""
     cases = [(c, s, words) for c, row in CASES.items() for s, words in row.items() if only in c]
     with stage() as one, ThreadPoolExecutor(workers) as pool:
-        told = list(pool.map(lambda case: one.run(case[2], case[1] == CTRL_C), cases))
-    return {(command, situation): said for (command, situation, _), said in zip(cases, told, strict=True)}
+        outputs = list(pool.map(lambda case: one.run(case[2], case[1] == CTRL_C), cases))
+    return {(command, situation): said for (command, situation, _), said in zip(cases, outputs, strict=True)}
 
 
-def problems(told: dict[tuple[str, str], Told]) -> list[str]:
+def problems(outputs: dict[tuple[str, str], Output]) -> list[str]:
     """What no command may do in any situation: a traceback, success where there was none, silence, no end."""
     found = []
-    for (command, situation), said in told.items():
+    for (command, situation), said in outputs.items():
         where = f"spotter {command}, {situation}"
         for wrong in ("Traceback", "DOES NOT END", "Error:"):
             if wrong in said.everything:
@@ -197,7 +197,7 @@ def missing_commands() -> list[str]:
     return [f"spotter {name}: not in docs/situations.toml" for name in sorted(missing)]
 
 
-def page(told: dict[tuple[str, str], Told]) -> str:
+def page(outputs: dict[tuple[str, str], Output]) -> str:
     """The whole of docs/situations.md."""
     lines = [
         "# What a command says when something is not there",
@@ -214,7 +214,7 @@ def page(told: dict[tuple[str, str], Told]) -> str:
             "| command | exit code and last line |",
             "|---|---|",
         ]
-        for (command, at), said in told.items():
+        for (command, at), said in outputs.items():
             if at == situation:
                 lines.append(f"| `spotter {shown(CASES[command][at])}` | {QUIET if at == CTRL_C else said.cell} |")
     return "\n".join(lines) + "\n"
@@ -234,16 +234,16 @@ def main() -> None:
     parser.add_argument("--only", default="", help="the commands whose name contains this; prints them")
     options = parser.parse_args()
     signal.signal(signal.SIGINT, signal.default_int_handler)  # in a background job it would be ignored, here and below
-    told = all_told(options.only)
-    wrong = problems(told) + (missing_commands() if options.check else [])
+    outputs = all_outputs(options.only)
+    wrong = problems(outputs) + (missing_commands() if options.check else [])
     if options.only:
-        for (command, situation), said in told.items():
+        for (command, situation), said in outputs.items():
             sys.stdout.write(f"{command}, {situation}: {said.cell}\n")
     elif options.check:
-        before, now = PAGE.read_text().splitlines(), page(told).splitlines()
+        before, now = PAGE.read_text().splitlines(), page(outputs).splitlines()
         wrong += [f"changed: {line}" for line in now if line not in before]
     elif not wrong:
-        PAGE.write_text(page(told))
+        PAGE.write_text(page(outputs))
     sys.exit("\n".join(wrong) or 0)
 
 

@@ -143,11 +143,11 @@ def page() -> str:
         "| cause | says | means | do |",
         "|---|---|---|---|",
     ]
-    for cause, told in causes().items():
+    for cause, advice in causes().items():
         words = (
             "; ".join(filter(None, dict.fromkeys(said.get(cause, ())))) or "(the sensor's, router's or clock's words)"
         )
-        lines.append(f"| `{cause}` | {cell(words)} | {cell(told['means'])} | {cell(told['do'])} |")
+        lines.append(f"| `{cause}` | {cell(words)} | {cell(advice['means'])} | {cell(advice['do'])} |")
     lines += ["", "## `spotter doctor`", "", "| check | finds | do |", "|---|---|---|"]
     lines += [f"| {cell(check)} | {cell(what)} | {cell(do)} |" for check, what, do in dict.fromkeys(findings())]
     lines += ["", "## A command ends with one line", "", "| in | says |", "|---|---|"]

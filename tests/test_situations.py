@@ -50,10 +50,10 @@ def test_the_page_is_of_these_cases_and_shows_no_traceback(situations: ModuleTyp
 @pytest.mark.system
 @pytest.mark.parametrize("command", ["info", "export"])
 def test_what_is_said_is_what_the_page_says(situations: ModuleType, command: str) -> None:
-    told = situations.all_told(command, workers=2)
-    assert situations.problems(told) == []
+    answers = situations.all_outputs(command, workers=2)
+    assert situations.problems(answers) == []
     page = situations.PAGE.read_text()
-    for (name, situation), said in told.items():
+    for (name, situation), said in answers.items():
         assert f"| `spotter {situations.shown(situations.CASES[name][situation])}` | {said.cell} |" in page
 
 

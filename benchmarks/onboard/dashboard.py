@@ -140,8 +140,8 @@ def crowd_of(port: int) -> Iterator[None]:
             yield
         finally:
             child.send_signal(signal.SIGTERM)
-            told, _ = child.communicate()
-            print(f"  {told.strip()}")
+            output, _ = child.communicate()
+            print(f"  {output.strip()}")
 
 
 def look(port: int) -> None:

@@ -128,14 +128,14 @@ class InputToVerdict:
     def _noter(self, name: str, topic: Topic) -> Callable[[zenoh.Sample], None]:
         def note(sample: zenoh.Sample) -> None:
             try:
-                told = decode(sample.payload.to_bytes(), topic.message)
+                message = decode(sample.payload.to_bytes(), topic.message)
             except DecodeError:
                 return
             with self._lock:
-                if isinstance(told, Verdict):
-                    self._note_verdict(told)
+                if isinstance(message, Verdict):
+                    self._note_verdict(message)
                 else:
-                    self._sent_ns[name, told.stamp_ns] = told.sent_ns
+                    self._sent_ns[name, message.stamp_ns] = message.sent_ns
 
         return note
 

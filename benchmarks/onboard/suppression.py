@@ -167,12 +167,12 @@ def driven(case: Case) -> Iterator[FusionInputs]:
 
 def compare(what: str, *drives: list[FusionInputs] | Iterator[FusionInputs]) -> None:
     """Seconds of alarm, alarms, and seconds held back, by what suppression may do."""
-    told = [list(drive) for drive in drives]
-    print(f"{what}, {sum(one[-1].now_s - one[0].now_s for one in told):.0f} s")
+    simulated = [list(drive) for drive in drives]
+    print(f"{what}, {sum(one[-1].now_s - one[0].now_s for one in simulated):.0f} s")
     for name, rules in RULES.items():
         alarm_s = held_s = 0.0
         alarms = 0
-        for drive in told:
+        for drive in simulated:
             before: Level = "SAFE"
             memory = FusionMemory()
             for inputs, after in itertools.pairwise(drive):

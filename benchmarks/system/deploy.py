@@ -228,8 +228,8 @@ def _enter_scene(bench: Bench) -> None:
 
 
 def _count(bench: Bench, more: list[str]) -> dict[str, Any]:
-    told = bench.lab.run("laptop1", _count_words(bench, more))
-    counted: dict[str, Any] = json.loads(told.stdout)
+    completed = bench.lab.run("laptop1", _count_words(bench, more))
+    counted: dict[str, Any] = json.loads(completed.stdout)
     return counted
 
 
@@ -240,8 +240,8 @@ def _count_words(bench: Bench, more: list[str]) -> list[str]:
 
 def _link_bytes(lab: Lab, host: str) -> tuple[int, int]:
     counters = "/sys/class/net/eth0/statistics/"
-    told = lab.run(host, ["cat", f"{counters}rx_bytes", f"{counters}tx_bytes"]).stdout.split()
-    return int(told[0]), int(told[1])
+    octets = lab.run(host, ["cat", f"{counters}rx_bytes", f"{counters}tx_bytes"]).stdout.split()
+    return int(octets[0]), int(octets[1])
 
 
 def _s(value: float | None) -> str:

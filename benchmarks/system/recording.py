@@ -59,16 +59,16 @@ def record(folder: Path, endpoint: str, seconds: float) -> Path:
         threading.Event().wait(seconds)
         share = (cpu_s(process.pid) - begun_cpu_s) / (time.monotonic() - begun_s)
         process.send_signal(signal.SIGINT)
-        told = json.loads(process.communicate(timeout=60)[0])
-    path = Path(told["file"])
+        counted = json.loads(process.communicate(timeout=60)[0])
+    path = Path(counted["file"])
     summary = summarise(path)
     rates = Counter({key.partition("/")[2]: count / summary.duration_s for key, count in summary.counts.items()})
     lost = ", ".join(f"{key} {count}" for key, count in dropped_by_key(path).items())
-    print(f"{summary.duration_s:.0f} s, {told['messages']} messages, dropped {told['dropped']} {lost}")
+    print(f"{summary.duration_s:.0f} s, {counted['messages']} messages, dropped {counted['dropped']} {lost}")
     print(
         "a second: " + ", ".join(f"{name} {rate:.1f}" for name, rate in sorted(rates.items()) if "status" not in name)
     )
-    size_mb, payload_mb = path.stat().st_size / 1e6, told["bytes"] / 1e6
+    size_mb, payload_mb = path.stat().st_size / 1e6, counted["bytes"] / 1e6
     print(
         f"{size_mb:.0f} MB on disk ({60 * size_mb / summary.duration_s:.0f} MB a minute), payload {payload_mb:.0f} MB"
     )

@@ -119,9 +119,9 @@ def host_clocks(capsules: dict[str, Path], fusion_host: str) -> dict[str, HostCl
     clocks = {host: _own_word(path) for host, path in capsules.items()}
     for system in _health_messages(capsules.get(fusion_host)):
         for name, clock in system.clocks.items():
-            told, host = HostClock(clock.offset_ms / 1e3, clock.bound_ms / 1e3), name.partition("/")[0]
-            if host in clocks and _bound_s(told) <= _bound_s(clocks[host]):
-                clocks[host] = told
+            measured, host = HostClock(clock.offset_ms / 1e3, clock.bound_ms / 1e3), name.partition("/")[0]
+            if host in clocks and _bound_s(measured) <= _bound_s(clocks[host]):
+                clocks[host] = measured
     clocks[fusion_host] = HostClock(0.0, 0.0)
     return clocks
 

@@ -65,7 +65,7 @@ class Standing:
         self._course_rad = 0.0  # the radar's own direction of travel, vehicle's frame
         self._height_m: float | None = None  # of the echo above or below the radar, smoothed
         self._line: tuple[np.ndarray, np.ndarray] | None = None  # s^2 and s^2 y^2, covariance
-        self._told = np.zeros(2)  # to the scale: precision, and weighted with the mean
+        self._information = np.zeros(2)  # to the scale: precision, and weighted with the mean
         self._surges = 0
         self._plain = config.on_path.way_frames  # frames in a row whose speed a standing thing may have
 
@@ -104,8 +104,8 @@ class Standing:
     def _start_over(self, *, keep: bool = False) -> None:
         """Nothing is known of the track's place; unless ``keep``, what it told the scale was wrong."""
         if not keep:
-            self._scale.learn(-self._told[0], -self._told[1])
-        self._told = np.zeros(2)
+            self._scale.learn(-self._information[0], -self._information[1])
+        self._information = np.zeros(2)
         self._line = None
 
     def _fit(self, share: float, range_m: float, error: float, *, learns: bool) -> None:
@@ -125,9 +125,9 @@ class Standing:
         self._line = after
         if learns:
             gained = 1.0 / after[1][0, 0] - 1.0 / P[0, 0]
-            told = np.array([gained, after[0][0] / after[1][0, 0] - state[0] / P[0, 0]])
-            self._scale.learn(*told)
-            self._told += told
+            information = np.array([gained, after[0][0] / after[1][0, 0] - state[0] / P[0, 0]])
+            self._scale.learn(*information)
+            self._information += information
 
     def least_beside_m(self, sigmas: float) -> float:
         """How far off the line of travel it is at least, so many standard deviations sure, without its height."""

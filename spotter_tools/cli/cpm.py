@@ -54,7 +54,7 @@ def cpm(
     address = _address(to)
     arrived: queue.Queue[zenoh.Sample] = queue.Queue(2)
     key, sent, sensors_due_s = INFRA_TRACKS.key(host), 0, 0.0
-    told: str | None = None
+    reported: str | None = None
     with bus(connect, namespace) as session, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:
         session.declare_subscriber(key, lambda sample: keep_newest(arrived, sample))
         while not count or sent < count:
@@ -68,20 +68,20 @@ def cpm(
                         sent += 1
                     sensors_due_s = time.monotonic() + SENSORS_EVERY_S if with_sensors else sensors_due_s
             except queue.Empty:
-                reason = _why_nothing(session, key, heard=told is not None)
+                reason = _why_nothing(session, key, reported=reported is not None)
             except (DecodeError, CpmError) as error:
                 reason = f"{key}: {error}"
             except OSError as error:  # the roadside unit or the network may be away for a while
                 reason = f"--to {to}: {error.strerror or error}"
-            if reason != told:
+            if reason != reported:
                 sys.stderr.write(f"spotter: {f'not sent: {reason}' if reason else f'sending to {to}'}\n")
-                told = reason
+                reported = reason
 
 
-def _why_nothing(session: zenoh.Session, key: str, *, heard: bool) -> str:
+def _why_nothing(session: zenoh.Session, key: str, *, reported: bool) -> str:
     """Ends the command when no service publishes; not once tracks have come, because their service may start again."""
     silent = why_silent(session, key)
-    if silent and not heard:
+    if silent and not reported:
         fail(silent)
     return silent or f"nothing comes on {key}"
 

@@ -75,8 +75,8 @@ def export(
         left_out = {"unreadable": dict(order.unreadable)} if order.unreadable else {}
         print(json.dumps({"file": str(out), "rows": dict(order.counts), **left_out}))
     else:
-        told = ", ".join(f"{count} {name}" for name, count in order.counts.items()) or "no rows"
-        print(f"{out}: {told}")
+        rows = ", ".join(f"{count} {name}" for name, count in order.counts.items()) or "no rows"
+        print(f"{out}: {rows}")
     if order.unreadable:
         left = order.unreadable
         fail(f"{file}: {left.total()} messages could not be read and were left out: {by_key(left)}")

@@ -55,16 +55,16 @@ def ros2(
         bridge = Bridge(session, Node(ros, "spotter", domain), rows, sensors=tf)
         worker = threading.Thread(target=bridge.run, args=(stop,), name="bridge", daemon=True)
         worker.start()
-        told: set[str] = set()
+        shown: set[str] = set()
         waited_s = 0.0
         while not stop.wait(TELL_S) and not (seconds and waited_s >= seconds):
             waited_s += TELL_S
             for line in bridge.lines():
-                if line.name not in told:
-                    told.add(line.name)
+                if line.name not in shown:
+                    shown.add(line.name)
                     sys.stderr.write(f"  {line.name}  {line.row.type}  from {line.key}\n")
-            for why in [one for one in list(bridge.refused) if one not in told]:
-                told.add(why)
+            for why in [one for one in list(bridge.refused) if one not in shown]:
+                shown.add(why)
                 sys.stderr.write(f"  not published: {why}\n")
         stop.set()
         worker.join()

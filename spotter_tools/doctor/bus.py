@@ -121,9 +121,9 @@ def check_services_of(session: zenoh.Session, host: str, services: Iterable[str]
     for service in services:
         yield from _service(session, host, service)
     topics_of_host = [t for t in topics.DATA_TOPICS if t.service in services and not t.on_demand]
-    heard = first_messages(session, [topic.key(host) for topic in topics_of_host])
+    samples = first_messages(session, [topic.key(host) for topic in topics_of_host])
     for topic in topics_of_host:
-        yield _topic(topic, topic.key(host), heard.get(topic.key(host)))
+        yield _topic(topic, topic.key(host), samples.get(topic.key(host)))
 
 
 def _topic(topic: topics.Topic, key: str, sample: zenoh.Sample | None) -> Finding:
@@ -233,12 +233,12 @@ def ask(session: zenoh.Session, key: str, kind: type[M], payload: bytes | None =
 
 def first_messages(session: zenoh.Session, keys: list[str]) -> dict[str, zenoh.Sample]:
     """The next message on each of these keys; without those that were silent for the budget."""
-    heard: dict[str, zenoh.Sample] = {}
+    samples: dict[str, zenoh.Sample] = {}
     complete = threading.Event()
 
     def note(sample: zenoh.Sample) -> None:
-        heard.setdefault(str(sample.key_expr), sample)
-        if len(heard) == len(keys):
+        samples.setdefault(str(sample.key_expr), sample)
+        if len(samples) == len(keys):
             complete.set()
 
     subscribers = [session.declare_subscriber(key, note) for key in keys]
@@ -246,7 +246,7 @@ def first_messages(session: zenoh.Session, keys: list[str]) -> dict[str, zenoh.S
         complete.wait(ANSWER_S)
     for subscriber in subscribers:
         undeclare(subscriber)
-    return heard
+    return samples
 
 
 def next_message(session: zenoh.Session, key: str, kind: type[M]) -> M | None:

@@ -13,7 +13,7 @@ from itertools import count
 from typing import Any
 
 from common.messages import Verdict
-from services.jetson.gate.checks import Heard
+from services.jetson.gate.checks import GateInputs
 from services.jetson.gate.pipeline import Decision, GatePipeline
 from spotter_sim.contact import contact_s, gap_m
 from spotter_sim.model import Scenario
@@ -132,23 +132,23 @@ class _Loop:
 
     def _decide(self, now_s: float) -> None:
         self._verdict = self._decider.decide(now_s)
-        self._push(now_s + VERDICT_TO_GATE_S, "heard", self._verdict)
+        self._push(now_s + VERDICT_TO_GATE_S, "verdict_at_gate", self._verdict)
 
-    def _on_heard(self, now_s: float, verdict: Verdict) -> None:
-        self._heard, self._heard_s = verdict, now_s
+    def _on_verdict_at_gate(self, now_s: float, verdict: Verdict) -> None:
+        self._last_verdict, self._verdict_s = verdict, now_s
         self._ask_gate(now_s)
 
     def _on_gate(self, now_s: float, period_s: float) -> None:
         self._ask_gate(now_s)
         self._push(now_s + period_s, "gate", period_s)
 
-    _heard: Verdict | None = None
-    _heard_s = 0.0
+    _last_verdict: Verdict | None = None
+    _verdict_s = 0.0
 
     def _ask_gate(self, now_s: float) -> None:
-        age_s = now_s - self._heard_s + VERDICT_TO_GATE_S
-        heard = Heard(verdict=self._heard, age_s=age_s, claimants=(f"{self._fusion_host}/fusion",))
-        self._decision = self._gate.process(now_s, heard)
+        age_s = now_s - self._verdict_s + VERDICT_TO_GATE_S
+        inputs = GateInputs(verdict=self._last_verdict, age_s=age_s, claimants=(f"{self._fusion_host}/fusion",))
+        self._decision = self._gate.process(now_s, inputs)
         self._push(now_s + GATE_TO_ACTUATOR_S + self._preset.dead_time_s, "brakes", self._decision)
 
     def _on_brakes(self, now_s: float, decision: Decision) -> None:

@@ -60,8 +60,8 @@ def compare(topic: Topic, seconds: float, live: list[Received], candidate: list[
     """Rates, latencies from measurement to sending, objects in common, and levels, over the same ``seconds``."""
     pairs = _pairs(topic, live, candidate)
     shares = [share for a, b in pairs if (share := in_common(a, b)) is not None]
-    known = {without_numbers(_fault(heard.message)) for heard in live}
-    faults = {reason for heard in candidate if without_numbers(reason := _fault(heard.message)) not in known}
+    known = {without_numbers(_fault(received.message)) for received in live}
+    faults = {reason for received in candidate if without_numbers(reason := _fault(received.message)) not in known}
     return Comparison(
         seconds=seconds,
         live_hz=round(len(live) / seconds, 2),
@@ -141,13 +141,13 @@ def _pairs(topic: Topic, live: list[Received], candidate: list[Received]) -> lis
     if not live or not candidate:
         return []
     limit_ns = 0.6e9 / (topic.nominal_hz or 10.0)
-    stamps_ns = np.array([heard.message.stamp_ns for heard in live])
+    stamps_ns = np.array([received.message.stamp_ns for received in live])
     pairs = []
-    for heard in candidate:
-        apart_ns = np.abs(stamps_ns - heard.message.stamp_ns)
+    for received in candidate:
+        apart_ns = np.abs(stamps_ns - received.message.stamp_ns)
         nearest = int(apart_ns.argmin())
         if apart_ns[nearest] <= limit_ns:
-            pairs.append((live[nearest].message, heard.message))
+            pairs.append((live[nearest].message, received.message))
     return pairs
 
 
@@ -155,8 +155,8 @@ def _not_reached(shown: list[Message], others: list[Received]) -> float | None:
     """Share of the messages whose level none of the others' messages of that time has; None where there are none."""
     if not shown or not hasattr(shown[0], "level"):
         return None
-    their_stamps_ns = np.array([heard.message.stamp_ns for heard in others])
-    their_ranks = np.array([_rank(heard.message) for heard in others])
+    their_stamps_ns = np.array([received.message.stamp_ns for received in others])
+    their_ranks = np.array([_rank(received.message) for received in others])
     short = 0
     for message in shown:
         near = np.abs(their_stamps_ns - message.stamp_ns) <= LEVEL_SLACK_S * 1e9
@@ -173,6 +173,6 @@ def _fault(message: Message) -> str:
     return str(getattr(message, "reason", "")) if getattr(message, "state", "online") != "online" else ""
 
 
-def _p95_ms(heard: list[Received]) -> float | None:
-    waits_ms = [(h.message.sent_ns - h.message.stamp_ns) * 1e-6 for h in heard if h.message.sent_ns]
+def _p95_ms(received: list[Received]) -> float | None:
+    waits_ms = [(h.message.sent_ns - h.message.stamp_ns) * 1e-6 for h in received if h.message.sent_ns]
     return round(float(np.percentile(waits_ms, 95)), 1) if waits_ms else None

@@ -78,7 +78,7 @@ def _start(order: Order, old: ServiceInfo, predecessor: Predecessor) -> Candidat
 def _compare(order: Order, taps: SwapTaps, candidate: Candidate, say: Callable[[str], None]) -> Comparison:
     """Wait until the candidate is online, then receive both for ``seconds``."""
     say(f"candidate {candidate.pid} in the shadow; log in {order.log}")
-    if not taps.shadow.wait(lambda heard: any(map(_is_online, heard)), START_BUDGET_S, candidate.ended):
+    if not taps.shadow.wait(lambda received: any(map(_is_online, received)), START_BUDGET_S, candidate.ended):
         late = f"it was not online within {START_BUDGET_S:.0f} s; see {order.log}"
         raise Refused(candidate.ended() or taps.shadow.wrong or late)
     say(f"it is online; comparing for {order.seconds:g} s")
@@ -94,5 +94,5 @@ def _compare(order: Order, taps: SwapTaps, candidate: Candidate, say: Callable[[
     return comparison
 
 
-def _is_online(heard: Received) -> bool:
-    return getattr(heard.message, "state", "online") == "online" and getattr(heard.message, "settled", True)
+def _is_online(received: Received) -> bool:
+    return getattr(received.message, "state", "online") == "online" and getattr(received.message, "settled", True)

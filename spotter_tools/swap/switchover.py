@@ -79,7 +79,9 @@ class Switchover:
         if not self.taps.wait_instances(lambda ids: any(i.endswith(succeeded) for i in ids), SWITCHOVER_BUDGET_S):
             reason = self.candidate.ended() or "it did not announce itself after SIGUSR1"
             raise Refused(reason, comparison=self.comparison)
-        if not self.taps.live.wait(lambda heard: self._by_sender(heard)[1], SWITCHOVER_BUDGET_S, self.candidate.ended):
+        if not self.taps.live.wait(
+            lambda received: self._by_sender(received)[1], SWITCHOVER_BUDGET_S, self.candidate.ended
+        ):
             silent = "it announced itself, but no message under the live key continues the shadow's sequence numbers"
             raise Refused(self.candidate.ended() or silent, comparison=self.comparison)
         return next(i for _, _, i in self.taps.presence.instances() if i.endswith(succeeded))
@@ -92,9 +94,9 @@ class Switchover:
             return False
         return True
 
-    def _by_sender(self, heard: list[Received]) -> tuple[list[Received], list[Received]]:
+    def _by_sender(self, received: list[Received]) -> tuple[list[Received], list[Received]]:
         """Messages since the promotion: the old service's and the candidate's."""
-        return by_sender(heard[len(self.before) :], self.before[-1].message.seq, self.shadow_seq)
+        return by_sender(received[len(self.before) :], self.before[-1].message.seq, self.shadow_seq)
 
     def _gap(self, by_old: list[Received], by_new: list[Received]) -> Gap:
         verdicts, health = (tap.since(self.before[0].arrived_s) for tap in (self.taps.verdicts, self.taps.health))
@@ -114,7 +116,7 @@ class Switchover:
         begun_s, log = monotonic_s(), self.order.log
         reasons = list(faults)
         if self.predecessor.start_again(log):
-            back = self.taps.live.wait(lambda heard: heard[-1].arrived_s > begun_s, START_BUDGET_S, lambda: False)
+            back = self.taps.live.wait(lambda received: received[-1].arrived_s > begun_s, START_BUDGET_S, lambda: False)
             reasons.append("the old service runs again" if back else f"the old service does not come back; see {log}")
         else:
             reasons.append("the old service could not be started again and no process replaces it: start it yourself")

@@ -39,12 +39,12 @@ def by_sender(live: list[Received], last_old: int, last_new: int) -> tuple[list[
     next_seq = [last_old + 1, last_new + 1]
     sent: tuple[list[Received], list[Received]] = ([], [])
     sender = 0
-    for heard in live:
-        apart = [abs(heard.message.seq - expected) for expected in next_seq]
+    for received in live:
+        apart = [abs(received.message.seq - expected) for expected in next_seq]
         if apart[0] != apart[1]:  # else the sender of the last message: one sequence may pass the end of the other
             sender = int(apart[1] < apart[0])
-        sent[sender].append(heard)
-        next_seq[sender] = heard.message.seq + 1
+        sent[sender].append(received)
+        next_seq[sender] = received.message.seq + 1
     return sent
 
 
@@ -60,11 +60,11 @@ def measure_switchover(
 
     ``verdicts`` and ``health`` cover the times before and after.
     """
-    live = sorted(old + new, key=lambda heard: heard.arrived_s)
-    levels = [(heard.arrived_s, level_of(heard.message)) for heard in verdicts]
+    live = sorted(old + new, key=lambda received: received.arrived_s)
+    levels = [(received.arrived_s, level_of(received.message)) for received in verdicts]
     change_s = before[-1].arrived_s if before else 0.0
     flaps_before = flaps([row for row in levels if row[0] <= change_s])
-    left_before = left_online(service, [heard for heard in health if heard.arrived_s <= change_s])
+    left_before = left_online(service, [received for received in health if received.arrived_s <= change_s])
     usual_s = float(np.median(arrival_gaps_s(before))) if len(before) > 1 else 0.0
     return Gap(
         messages=len(live),
@@ -82,20 +82,20 @@ def measure_switchover(
     )
 
 
-def arrival_gaps_s(heard: list[Received]) -> list[float]:
+def arrival_gaps_s(received: list[Received]) -> list[float]:
     """Seconds between consecutive messages."""
-    return [later.arrived_s - earlier.arrived_s for earlier, later in pairwise(heard)]
+    return [later.arrived_s - earlier.arrived_s for earlier, later in pairwise(received)]
 
 
-def missed(heard: list[Received], usual_s: float) -> int:
+def missed(received: list[Received], usual_s: float) -> int:
     """Measurements that no message carries: a late message is not missed, and a duplicate replaces no other."""
-    stamps_s = sorted(one.message.stamp_ns * 1e-9 for one in heard)
+    stamps_s = sorted(one.message.stamp_ns * 1e-9 for one in received)
     return sum(max(0, round((b - a) / usual_s) - 1) for a, b in pairwise(stamps_s)) if usual_s else 0
 
 
-def lost(heard: list[Received]) -> int:
+def lost(received: list[Received]) -> int:
     """Sequence numbers of one sender that are missing."""
-    return sum(max(0, later.message.seq - earlier.message.seq - 1) for earlier, later in pairwise(heard))
+    return sum(max(0, later.message.seq - earlier.message.seq - 1) for earlier, later in pairwise(received))
 
 
 def flaps(levels: list[tuple[float, str]], within_s: float = 1.0) -> int:
@@ -114,6 +114,6 @@ def level_of(message: Message) -> str:
 
 def left_online(service: str, health: list[Received]) -> int:
     """How often fusion's state of the sensor changed from online to another one."""
-    messages = [heard.message for heard in health if isinstance(heard.message, SystemHealth)]
+    messages = [received.message for received in health if isinstance(received.message, SystemHealth)]
     states = [message.sensors[service].state for message in messages if service in message.sensors]
     return sum(earlier == "online" and later != "online" for earlier, later in pairwise(states))

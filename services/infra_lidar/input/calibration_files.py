@@ -203,8 +203,8 @@ def _ask_ouster(url: SourceUrl) -> str:
 
 def _ask_hesai(url: SourceUrl) -> str:
     try:
-        told, times = ask_calibration(url.target), _firetimes(url)
-        return with_firetimes(told, times) if times else told
+        calibration, times = ask_calibration(url.target), _firetimes(url)
+        return with_firetimes(calibration, times) if times else calibration
     except (OSError, CalibrationError) as error:
         raise ConfigError(
             f"source {url}: no calibration from {url.target or 'the sensor'}: {error}; give a file: ?calibration=FILE"

@@ -96,17 +96,17 @@ class _LeftOut:
     unstamped: int = 0
 
     def __str__(self) -> str:
-        told = [f"{count} packets: link layer {link} is not known" for link, count in self.links.items()]
+        reasons = [f"{count} packets: link layer {link} is not known" for link, count in self.links.items()]
         if self.cut:
-            told.append(
+            reasons.append(
                 f"{self.cut} UDP packets are cut, by the capture's snap length (tcpdump -s 0 records whole ones) or at "
                 f"the end of the file"
             )
         if self.unstamped:
-            told.append(
+            reasons.append(
                 f"{self.unstamped} packets have no stamp (pcapng simple packet blocks); record them with stamps"
             )
-        return "; ".join(told)
+        return "; ".join(reasons)
 
 
 def _reader(stream: BinaryIO) -> PcapngReader | dpkt.pcap.Reader:

@@ -69,11 +69,11 @@ class HesaiParser(SpinningParser):
 
     def _wrong(self, part: str, packet: bytes, begin: int, end: int) -> bool:
         """Whether the check sum of a part, which follows it, is wrong. Learns which one it is."""
-        data, told = packet[begin:end], int.from_bytes(packet[end : end + CHECK_BYTES], "little")
+        data, expected = packet[begin:end], int.from_bytes(packet[end : end + CHECK_BYTES], "little")
         if part in self._believed:
-            return self._believed[part](data) != told
+            return self._believed[part](data) != expected
         for check in CHECKS:
-            if check(data) == told:
+            if check(data) == expected:
                 self._believed[part] = check
         return False
 
@@ -86,8 +86,8 @@ class HesaiParser(SpinningParser):
         state = packet[at + 1] >> 5 if at else 0
         if state == self._state:
             return
-        told = int.from_bytes(packet[at + 13 : at + 17], "little")
-        if at and not any(check(packet[at + 1 : end]) == told for check in CHECKS for end in (at + 5, at + 13)):
+        expected = int.from_bytes(packet[at + 13 : at + 17], "little")
+        if at and not any(check(packet[at + 1 : end]) == expected for check in CHECKS for end in (at + 5, at + 13)):
             return
         self._state = state
         if state >= FIRST_BAD_STATE:

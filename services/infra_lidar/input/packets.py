@@ -75,11 +75,11 @@ def choose_sender(path: Path, url: SourceUrl) -> Sender:
         CaptureError: no capture, or a link layer that is not known.
         ConfigError: no sensor, none that is supported, several, or none of those that were asked for.
     """
-    heard: set[tuple[str, int]] = set()
+    senders: set[tuple[str, int]] = set()
     with path.open("rb") as stream:
-        found = list(survey(_noted(islice(read_capture(stream), SURVEY_PACKETS), heard)))
+        found = list(survey(_noted(islice(read_capture(stream), SURVEY_PACKETS), senders)))
     address, port = url.params.get("from", ""), url.port("port", 0)
-    _expect_asked(url, {name for name in heard if address in ("", name[0]) and port in (0, name[1])}, heard)
+    _expect_asked(url, {name for name in senders if address in ("", name[0]) and port in (0, name[1])}, senders)
     asked = [s for s in found if address in ("", s.address) and port in (0, s.port)]
     supported = [sender for sender in asked if sender.supported]
     if len(supported) == 1:
@@ -96,10 +96,10 @@ def choose_sender(path: Path, url: SourceUrl) -> Sender:
     raise ConfigError(f"source {url}: {seen}. Supported: {', '.join(SUPPORTED)}")
 
 
-def _noted(datagrams: Iterable[Datagram], heard: set[tuple[str, int]]) -> Iterator[Datagram]:
-    """The same; their senders' addresses and ports are added to ``heard``."""
+def _noted(datagrams: Iterable[Datagram], senders: set[tuple[str, int]]) -> Iterator[Datagram]:
+    """The same; their senders' addresses and ports are added to ``senders``."""
     for datagram in datagrams:
-        heard.add((datagram.sender, datagram.port))
+        senders.add((datagram.sender, datagram.port))
         yield datagram
 
 
@@ -107,10 +107,10 @@ def _asked_for(url: SourceUrl) -> str:
     return ", ".join(f"{name}={url.params[name]}" for name in ("from", "port") if name in url.params)
 
 
-def _expect_asked(url: SourceUrl, asked: set[tuple[str, int]], heard: set[tuple[str, int]]) -> None:
+def _expect_asked(url: SourceUrl, asked: set[tuple[str, int]], senders: set[tuple[str, int]]) -> None:
     """Refuse an address and a port that nothing in the capture has."""
-    if heard and not asked:
-        there = "; ".join(f"{address}, port {port}" for address, port in sorted(heard)[:MAX_NAMED])
+    if senders and not asked:
+        there = "; ".join(f"{address}, port {port}" for address, port in sorted(senders)[:MAX_NAMED])
         raise ConfigError(f"source {url}: no packets of {_asked_for(url)}; in the capture: {there}")
 
 

@@ -41,8 +41,8 @@ def _ouster_sizes() -> dict[int, str]:
     for beams in (16, 32, 64, 128):
         for name, p in PROFILES.items():
             others = [k for k, q in PROFILES.items() if (q.pixel, q.legacy) == (p.pixel, p.legacy)]
-            told = f"with {beams} beams, {name}" + (" or of that size" if len(others) > 1 else "")
-            sizes.setdefault(p.packet_bytes(_OUSTER_COLUMNS, beams), told)
+            words = f"with {beams} beams, {name}" + (" or of that size" if len(others) > 1 else "")
+            sizes.setdefault(p.packet_bytes(_OUSTER_COLUMNS, beams), words)
     return sizes
 
 

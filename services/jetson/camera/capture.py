@@ -87,9 +87,9 @@ def _pictures(
             frame = child.read(timeout_s)
         except CaptureLost as error:
             slow = isinstance(error, CaptureSilent) and patience.silent()
-            told = CaptureLost(f"{error}; {f'{TOO_SLOW} ' if slow else ''}{advice(url)}")
-            report.state("disconnected", f"{url}: {told}")
-            raise told from None
+            lost = CaptureLost(f"{error}; {f'{TOO_SLOW} ' if slow else ''}{advice(url)}")
+            report.state("disconnected", f"{url}: {lost}")
+            raise lost from None
         now_s = monotonic_s()
         patience.picture(now_s - last_s)
         last_s = now_s

@@ -70,17 +70,17 @@ def sightings_of(inputs: FusionInputs, name: str) -> tuple[Sighting, ...]:
     sensor = inputs.witnesses[name]
     if sensor.state == "disconnected" or (name == "camera" and sensor.state != "online"):
         return ()
-    told, level = sensor.sightings, sensor.level
+    sightings, level = sensor.sightings, sensor.level
     if name == "radar" and inputs.abreast is not None:
-        told, level = inputs.abreast.sightings, inputs.abreast.level
-    if name != "camera" and told:
-        told = tuple(one for one in told if RANK[one.level] >= RANK["CAUTION"])
+        sightings, level = inputs.abreast.sightings, inputs.abreast.level
+    if name != "camera" and sightings:
+        sightings = tuple(one for one in sightings if RANK[one.level] >= RANK["CAUTION"])
     says = None if level == "SAFE" and name != "camera" else level
-    if says is not None and all(RANK[one.level] < RANK[says] for one in told):
-        told += (Sighting(says, somewhere_at(sensor.nearest_m), key="message"),)
+    if says is not None and all(RANK[one.level] < RANK[says] for one in sightings):
+        sightings += (Sighting(says, somewhere_at(sensor.nearest_m), key="message"),)
     if name == "radar" and uses_static(inputs) and sensor.static_level in ("CAUTION", "IMMINENT"):
-        told += (Sighting(sensor.static_level, None, "standing", key="standing"),)
-    return told
+        sightings += (Sighting(sensor.static_level, None, "standing", key="standing"),)
+    return sightings
 
 
 def somewhere_at(distance_m: float | None) -> Place | None:

@@ -131,8 +131,8 @@ class FusionPipeline:
         if self._alarm.level is None or threat is None:
             return replace(sensor, level=None)
         seen = (Sighting(self._alarm.level, _place_of(threat), str(threat.deciding.get("label", ""))),)
-        told = {"nearest_m": threat.distance_m, "deciding": threat.deciding, "sightings": seen}
-        return replace(sensor, level=self._alarm.level, **told)  # type: ignore[arg-type]
+        known = {"nearest_m": threat.distance_m, "deciding": threat.deciding, "sightings": seen}
+        return replace(sensor, level=self._alarm.level, **known)  # type: ignore[arg-type]
 
     def _has_reported(self, name: str) -> bool:
         return self._inbox.watches[name].reported or name in self._reported

@@ -135,10 +135,10 @@ def is_confirmed(inputs: FusionInputs, votes: Votes, demands: list[Demand], rule
 
 def camera_words(inputs: FusionInputs, claims: tuple[Claim, ...], level: Level) -> str:
     """What the camera sees now; or what it saw, where an alarm of an earlier picture counts on."""
-    told = [claim for claim in claims if claim.by == "camera" and claim.level == level]
-    if RANK[inputs.camera.level] >= RANK[level] or not told:
+    of_camera = [claim for claim in claims if claim.by == "camera" and claim.level == level]
+    if RANK[inputs.camera.level] >= RANK[level] or not of_camera:
         return seen_by("camera", inputs.camera, level)
-    return held_words(max(told, key=lambda claim: claim.seen_s), inputs)
+    return held_words(max(of_camera, key=lambda claim: claim.seen_s), inputs)
 
 
 def camera_demands(

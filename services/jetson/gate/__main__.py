@@ -31,15 +31,15 @@ def run(config: GateConfig) -> bool:
         service = stack.enter_context(Service("gate", config))
         publish = service.publisher(GATE_STATE)
         acknowledgement = Acknowledgement(service, lambda: answer(decision))
-        for heard in listen(service, config):
+        for inputs in listen(service, config):
             now_s = monotonic_s()
             pressed = sum(output.presses() for output in outputs) > 0
             lost = "; ".join(fault for output in outputs if (fault := output.fault(now_s)))
-            heard = heard._replace(actuator_lost=lost, acknowledged=acknowledgement.taken() or pressed)
-            decision = pipeline.process(now_s, heard)
-            send(outputs, now_s, decision, heard.verdict.seq if heard.verdict else 0)
+            inputs = inputs._replace(actuator_lost=lost, acknowledged=acknowledgement.taken() or pressed)
+            decision = pipeline.process(now_s, inputs)
+            send(outputs, now_s, decision, inputs.verdict.seq if inputs.verdict else 0)
             journal.note(decision)
-            state = news.news(now_s, utc_ns(), decision, heard.verdict, outputs)
+            state = news.news(now_s, utc_ns(), decision, inputs.verdict, outputs)
             if state is not None:
                 publish(state)
     return service.closed_cleanly

@@ -8,7 +8,7 @@ from common.messages import Verdict
 from services.jetson.gate.config import GateConfig
 
 
-class Heard(NamedTuple):
+class GateInputs(NamedTuple):
     """All that the gate knows at one moment.
 
     ``age_s`` is since fusion stamped the verdict, negative when it is stamped ahead of our clock. ``refused`` says what
@@ -33,36 +33,36 @@ class Fault(NamedTuple):
     because: str
 
 
-def fault_of(heard: Heard, config: GateConfig) -> Fault | None:
-    """The first reason not to act on what was heard, or None."""
-    return _sender_fault(heard, config) or _verdict_fault(heard, config)
+def fault_of(inputs: GateInputs, config: GateConfig) -> Fault | None:
+    """The first reason not to act on the verdict, or None."""
+    return _sender_fault(inputs, config) or _verdict_fault(inputs, config)
 
 
-def _sender_fault(heard: Heard, config: GateConfig) -> Fault | None:
+def _sender_fault(inputs: GateInputs, config: GateConfig) -> Fault | None:
     fusion = f"{config.fusion_host}/fusion"
-    if heard.actuator_lost:
-        return Fault("actuator_lost", heard.actuator_lost)
-    if heard.isolated:
+    if inputs.actuator_lost:
+        return Fault("actuator_lost", inputs.actuator_lost)
+    if inputs.isolated:
         return Fault("isolated", "the gate has lost its own link to the network")
-    if not heard.claimants:
+    if not inputs.claimants:
         return Fault("fusion_gone", f"{fusion} has no liveliness token: the process is not there")
-    if len(heard.claimants) > 1:
-        return Fault("two_claimants", f"{len(heard.claimants)} processes claim {fusion}")
-    if heard.two_senders:
+    if len(inputs.claimants) > 1:
+        return Fault("two_claimants", f"{len(inputs.claimants)} processes claim {fusion}")
+    if inputs.two_senders:
         return Fault("two_senders", f"sequence numbers go back and forth: somebody else sends as {fusion}")
     return None
 
 
-def _verdict_fault(heard: Heard, config: GateConfig) -> Fault | None:
-    limits, verdict = config.limits, heard.verdict
-    if heard.refused:
-        return Fault("unreadable", heard.refused)
+def _verdict_fault(inputs: GateInputs, config: GateConfig) -> Fault | None:
+    limits, verdict = config.limits, inputs.verdict
+    if inputs.refused:
+        return Fault("unreadable", inputs.refused)
     if verdict is None:
         return Fault("starting", "no verdict yet")
-    if heard.age_s > limits.verdict_age_s:
-        return Fault("stale", f"the verdict is {heard.age_s:.2f} s old, allowed {limits.verdict_age_s:g} s")
-    if heard.age_s < -limits.future_s:
-        return Fault("clock", f"the verdict is stamped {-heard.age_s:.2f} s ahead of this host's clock")
+    if inputs.age_s > limits.verdict_age_s:
+        return Fault("stale", f"the verdict is {inputs.age_s:.2f} s old, allowed {limits.verdict_age_s:g} s")
+    if inputs.age_s < -limits.future_s:
+        return Fault("clock", f"the verdict is stamped {-inputs.age_s:.2f} s ahead of this host's clock")
     if verdict.source_kind not in config.accept:
         origin = "data of unknown origin" if verdict.source_kind == "unknown" else f"{verdict.source_kind} data"
         return Fault("not_live", f"the verdict rests on {origin}; accepted: {', '.join(config.accept) or 'none'}")

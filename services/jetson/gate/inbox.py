@@ -9,7 +9,7 @@ from common.bus.presence import claimants
 from common.codec import DecodeError, decode, encoding_of
 from common.messages import Verdict
 from common.topics import FUSION_VERDICT
-from services.jetson.gate.checks import Heard
+from services.jetson.gate.checks import GateInputs
 
 TWO_SENDERS_HELD_S = 2.0
 
@@ -59,9 +59,9 @@ class VerdictInbox:
             self._two_senders_s = arrival.at_s
         self._verdict, self._arrived, self._refused = verdict, arrival, ""
 
-    def heard(self, now_s: float) -> Heard:
+    def inputs(self, now_s: float) -> GateInputs:
         """All of it at ``now_s``."""
-        return Heard(
+        return GateInputs(
             verdict=self._verdict,
             age_s=self._age_s(now_s),
             claimants=tuple(sorted(claimants(self._instances))) if self._instances else (),

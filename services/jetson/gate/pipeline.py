@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 from common.messages import Verdict
-from services.jetson.gate.checks import Fault, Heard, fault_of
+from services.jetson.gate.checks import Fault, GateInputs, fault_of
 from services.jetson.gate.config import GateConfig
 
 Permission = Literal["GO", "SLOW", "STOP"]
@@ -47,21 +47,21 @@ class GatePipeline:
         self._needs_acknowledge = config.release.acknowledge != "never"
         self._last_s: float | None = None
 
-    def process(self, now_s: float, heard: Heard) -> Decision:
+    def process(self, now_s: float, inputs: GateInputs) -> Decision:
         """The permission at ``now_s``."""
-        fault = self._overrun(now_s) or fault_of(heard, self._config)
+        fault = self._overrun(now_s) or fault_of(inputs, self._config)
         self._last_s = now_s
         if fault is not None:
             return self._stop(fault, by_fault=True)
-        assert heard.verdict is not None  # fault_of has refused that
-        if heard.verdict.permission == "STOP":
-            return self._stop(Fault("verdict", heard.verdict.because), by_fault=False)
-        self._note_good(now_s, heard)
+        assert inputs.verdict is not None  # fault_of has refused that
+        if inputs.verdict.permission == "STOP":
+            return self._stop(Fault("verdict", inputs.verdict.because), by_fault=False)
+        self._note_good(now_s, inputs)
         waiting = self._waiting(now_s) if self._given == "STOP" else None
         if waiting is not None:
             return waiting
-        self._given = self._allowed(now_s, heard.verdict.permission)
-        return self._moving(heard, heard.verdict.because)
+        self._given = self._allowed(now_s, inputs.verdict.permission)
+        return self._moving(inputs, inputs.verdict.because)
 
     def _overrun(self, now_s: float) -> Fault | None:
         """The gate itself was away: whatever it said in the meantime was not checked."""
@@ -76,15 +76,15 @@ class GatePipeline:
         after_s = self._config.release.after_stop_s
         return Decision("STOP", 0.0, 0.0, fault.cause, fault.because, after_s, self._needs_acknowledge)
 
-    def _note_good(self, now_s: float, heard: Heard) -> None:
-        assert heard.verdict is not None
+    def _note_good(self, now_s: float, inputs: GateInputs) -> None:
+        assert inputs.verdict is not None
         if self._good_since_s is None:
             self._good_since_s = now_s
-        if heard.verdict.permission != "GO":
+        if inputs.verdict.permission != "GO":
             self._go_since_s = None
         elif self._go_since_s is None:
             self._go_since_s = now_s
-        if heard.acknowledged:  # counts only now, while nothing says STOP: never in advance
+        if inputs.acknowledged:  # counts only now, while nothing says STOP: never in advance
             self._needs_acknowledge = False
 
     def _waiting(self, now_s: float) -> Decision | None:
@@ -104,10 +104,10 @@ class GatePipeline:
         long_enough = now_s - self._go_since_s >= self._config.release.speed_up_s
         return "GO" if long_enough or self._given == "GO" else "SLOW"
 
-    def _moving(self, heard: Heard, because: str) -> Decision:
+    def _moving(self, inputs: GateInputs, because: str) -> Decision:
         limits = self._config.limits
-        limit_mps = self._limit_mps(heard.verdict)
-        valid_s = min(limits.permit_s, limits.verdict_age_s - max(0.0, heard.age_s))
+        limit_mps = self._limit_mps(inputs.verdict)
+        valid_s = min(limits.permit_s, limits.verdict_age_s - max(0.0, inputs.age_s))
         return Decision(self._given, limit_mps, valid_s, "verdict", because)
 
     def _limit_mps(self, verdict: Verdict | None) -> float:

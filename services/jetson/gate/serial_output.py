@@ -86,7 +86,7 @@ class FramedOutput:
         self._report_s = self._opened_s = 0.0
         self._presses: int | None = None
         self._new_presses = 0
-        self._told: list[tuple[float, int]] = []  # what it was told lately: (time, rank)
+        self._sent_ranks: list[tuple[float, int]] = []  # what it was told lately: (time, rank)
 
     def send(self, now_s: float, decision: Decision, verdict_seq: int) -> None:
         """Send the decision as one frame and take what the actuator answers."""
@@ -99,8 +99,8 @@ class FramedOutput:
         except PORT_ERRORS as error:
             self._lose(now_s, explain(self.url.target, error, self._was_open))
             return
-        self._told.append((now_s, RANK[decision.permission]))
-        self._told = [one for one in self._told if now_s - one[0] <= OBEYS_WITHIN_S]
+        self._sent_ranks.append((now_s, RANK[decision.permission]))
+        self._sent_ranks = [one for one in self._sent_ranks if now_s - one[0] <= OBEYS_WITHIN_S]
         self.listen(now_s)
 
     def listen(self, now_s: float) -> None:
@@ -126,7 +126,7 @@ class FramedOutput:
             return f"{self.url}: the actuator has not answered yet"
         if self._report.why == FRAMES_STOPPED:
             return f"{self.url}: the actuator stopped by itself: {self._report.why}"
-        if self._told and RANK[self._report.permission] > max(rank for _, rank in self._told):
+        if self._sent_ranks and RANK[self._report.permission] > max(rank for _, rank in self._sent_ranks):
             return f"{self.url}: the actuator does {self._report.permission} although it was told less"
         return ""
 
@@ -158,7 +158,7 @@ class FramedOutput:
             self._lose(now_s, explain(self.url.target, error, self._was_open))
             return False
         self._was_open, self._opened_s, self._report, self._presses = True, now_s, None, None
-        self._reader, self._told = ReportReader(), []
+        self._reader, self._sent_ranks = ReportReader(), []
         self._backoff.reset()
         log.info("%s is open", self.url)
         return True

@@ -14,15 +14,15 @@ from common.bus.runtime import Service
 from common.bus.session import undeclare
 from common.clock import monotonic_s, utc_ns
 from common.topics import FUSION_VERDICT, token_key
-from services.jetson.gate.checks import Heard
+from services.jetson.gate.checks import GateInputs
 from services.jetson.gate.config import GateConfig
 from services.jetson.gate.inbox import Arrival, VerdictInbox
 
 MAX_WAITING = 64  # verdicts; more than that in one round is a flood, of which the newest are enough
 
 
-def listen(service: Service, config: GateConfig) -> Iterator[Heard]:
-    """One ``Heard`` for every verdict that arrives, and at least one in ``period_s``. Never ends."""
+def listen(service: Service, config: GateConfig) -> Iterator[GateInputs]:
+    """One ``GateInputs`` for every verdict that arrives, and at least one in ``period_s``. Never ends."""
     waiting: deque[Arrival] = deque(maxlen=MAX_WAITING)
 
     def arrived(sample: zenoh.Sample) -> None:
@@ -43,9 +43,9 @@ def listen(service: Service, config: GateConfig) -> Iterator[Heard]:
             arrivals = len(waiting)
             for _ in range(arrivals):
                 inbox.take(waiting.popleft())
-                yield inbox.heard(monotonic_s())._replace(isolated=isolated)
+                yield inbox.inputs(monotonic_s())._replace(isolated=isolated)
             if not arrivals:
-                yield inbox.heard(monotonic_s())._replace(isolated=isolated)
+                yield inbox.inputs(monotonic_s())._replace(isolated=isolated)
     finally:
         undeclare(subscriber)
 

@@ -26,7 +26,7 @@ class ScanDecoder:
         self.restarts += 1
         self.parser = Ld06Parser(self._config.scan.sample_rate_hz, self._config.mounting.clockwise)
         self.assembler = ScanAssembler(self._config, self._max_drift)
-        self._told: dict[str, int] = {}
+        self._reported: dict[str, int] = {}
         self._last_packet_s: float | None = None
         self._last_byte_s: float | None = None
 
@@ -53,9 +53,9 @@ class ScanDecoder:
     def _report_counts(self) -> None:
         counts = {**self.parser.counters, **self.assembler.counters}
         for name, count in counts.items():
-            new = count - self._told.get(name, 0)
+            new = count - self._reported.get(name, 0)
             (self._report.count if name in NO_FAULT else self._report.bad_input)(name, new)
-        self._told = counts
+        self._reported = counts
 
     def _watch(self, now_s: float, packets: bool, data: bool) -> None:
         """Call the device lost when no believable packet has come for a while, and say whether anything has."""

@@ -188,11 +188,11 @@ class SerialBytes:
                             backoff.reset()
                         yield utc_ns(), data
             except PORT_ERRORS as error:
-                self._tell(explain(self._port, error, self._was_open))
+                self._report_disconnected(explain(self._port, error, self._was_open))
                 self._report.count("port_failures")
             time.sleep(backoff.next_s())
 
-    def _tell(self, reason: str) -> None:
+    def _report_disconnected(self, reason: str) -> None:
         """In the status always, in the log once for each reason: it is tried again every few seconds."""
         self._report.state("disconnected", reason)
         if reason != self._logged:

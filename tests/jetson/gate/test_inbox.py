@@ -34,25 +34,25 @@ def inbox(*instances: str) -> VerdictInbox:
 def test_a_verdict_ages_from_its_stamp_and_on_our_own_clock() -> None:
     one = inbox()
     one.take(arrival(1, 5.0, stamped_s=4.9))
-    assert abs(one.heard(5.05).age_s - 0.15) < 1e-9
+    assert abs(one.inputs(5.05).age_s - 0.15) < 1e-9
     one.take(arrival(2, 6.0, stamped_s=6.5))
-    assert abs(one.heard(6.1).age_s + 0.4) < 1e-9
+    assert abs(one.inputs(6.1).age_s + 0.4) < 1e-9
 
 
 def test_nothing_heard_and_nobody_there() -> None:
-    heard = VerdictInbox().heard(1.0)
-    assert (heard.verdict, heard.claimants) == (None, ())
+    inputs = VerdictInbox().inputs(1.0)
+    assert (inputs.verdict, inputs.claimants) == (None, ())
 
 
 def test_another_version_and_rubbish_are_refused_until_a_verdict_comes() -> None:
     one = inbox()
     one.take(arrival(1, 5.0))
     one.take(arrival(2, 5.1)._replace(encoding="application/msgpack;spotter.Verdict.v2"))
-    assert "unknown version" in one.heard(5.1).refused
+    assert "unknown version" in one.inputs(5.1).refused
     one.take(arrival(2, 5.2))
-    assert one.heard(5.2).refused == ""
+    assert one.inputs(5.2).refused == ""
     one.take(arrival(3, 5.3)._replace(payload=b"rubbish"))
-    assert one.heard(5.3).refused.startswith("undecodable")
+    assert one.inputs(5.3).refused.startswith("undecodable")
 
 
 def test_a_repetition_does_not_make_a_verdict_younger() -> None:
@@ -60,7 +60,7 @@ def test_a_repetition_does_not_make_a_verdict_younger() -> None:
     first = arrival(1, 5.0)
     one.take(first)
     one.take(first._replace(at_s=5.2, at_ns=first.at_ns + 2 * 10**8))
-    assert abs(one.heard(5.2).age_s - 0.2) < 1e-9
+    assert abs(one.inputs(5.2).age_s - 0.2) < 1e-9
     assert one.ignored == 1
 
 
@@ -69,20 +69,20 @@ def test_a_number_that_goes_back_is_another_sender() -> None:
     one.take(arrival(1, 5.0))
     one.take(arrival(900, 5.02))  # an impostor that counts ahead
     one.take(arrival(2, 5.04))
-    assert one.heard(5.05).two_senders
-    assert one.heard(7.0).two_senders
-    assert not one.heard(7.05).two_senders
+    assert one.inputs(5.05).two_senders
+    assert one.inputs(7.0).two_senders
+    assert not one.inputs(7.05).two_senders
 
 
 def test_a_restarted_fusion_counts_from_the_beginning() -> None:
     one = inbox("a1")
     one.take(arrival(900, 5.0))
     one.meet(())
-    assert one.heard(5.1).claimants == ()
+    assert one.inputs(5.1).claimants == ()
     one.meet(("b2",))
     one.take(arrival(0, 5.2))
-    heard = one.heard(5.2)
-    assert (heard.claimants, heard.two_senders) == (("b2",), False)
+    inputs = one.inputs(5.2)
+    assert (inputs.claimants, inputs.two_senders) == (("b2",), False)
 
 
 def test_an_announced_successor_may_count_on_its_own() -> None:
@@ -92,12 +92,12 @@ def test_an_announced_successor_may_count_on_its_own() -> None:
     one.meet(("a1", new))
     one.take(arrival(7, 5.02))
     one.take(arrival(901, 5.03))
-    heard = one.heard(5.04)
-    assert (heard.claimants, heard.two_senders) == ((new,), False)
+    inputs = one.inputs(5.04)
+    assert (inputs.claimants, inputs.two_senders) == ((new,), False)
     one.meet((new,))
     one.take(arrival(902, 5.05))
-    assert not one.heard(5.05).two_senders
+    assert not one.inputs(5.05).two_senders
 
 
 def test_two_processes_that_claim_it_are_both_named() -> None:
-    assert inbox("a1", "b2").heard(1.0).claimants == ("a1", "b2")
+    assert inbox("a1", "b2").inputs(1.0).claimants == ("a1", "b2")

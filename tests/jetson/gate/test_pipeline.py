@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from common.config import ConfigError, load
 from common.messages import Verdict, WayAhead
 from services.jetson.gate import config as gate_config
-from services.jetson.gate.checks import Heard
+from services.jetson.gate.checks import GateInputs
 from services.jetson.gate.config import GateConfig, LimitsConfig, ReleaseConfig
 from services.jetson.gate.pipeline import STOPPED, Decision, GatePipeline
 
@@ -29,8 +29,8 @@ def verdict(permission: Any = "GO") -> Verdict:
     )  # fmt: skip
 
 
-def heard(permission: Any = "GO", **changes: Any) -> Heard:
-    return Heard(verdict=verdict(permission), age_s=0.01, claimants=("a1",))._replace(**changes)
+def inputs(permission: Any = "GO", **changes: Any) -> GateInputs:
+    return GateInputs(verdict=verdict(permission), age_s=0.01, claimants=("a1",))._replace(**changes)
 
 
 class Drive:
@@ -40,15 +40,15 @@ class Drive:
         self.config = GateConfig(release=ReleaseConfig(acknowledge=acknowledge))
         self.gate, self.now_s = GatePipeline(self.config), 100.0
 
-    def round(self, one: Heard) -> Decision:
+    def round(self, one: GateInputs) -> Decision:
         self.now_s += PERIOD_S
         return self.gate.process(self.now_s, one)
 
-    def rounds(self, one: Heard, seconds: float) -> list[Decision]:
+    def rounds(self, one: GateInputs, seconds: float) -> list[Decision]:
         return [self.round(one) for _ in range(round(seconds / PERIOD_S))]
 
     def going(self) -> Drive:
-        assert self.rounds(heard(acknowledged=True), 2.0)[-1].permission == "GO"
+        assert self.rounds(inputs(acknowledged=True), 2.0)[-1].permission == "GO"
         return self
 
 
@@ -89,7 +89,7 @@ def test_contradictory_settings_are_refused(setting: str, error_text: str) -> No
 
 @pytest.mark.parametrize("cause", FAULTS)
 def test_every_fault_stops_at_once_and_is_named(cause: str) -> None:
-    decision = Drive().going().round(heard(**FAULTS[cause]))
+    decision = Drive().going().round(inputs(**FAULTS[cause]))
     assert (decision.permission, decision.cause, decision.limit_mps, decision.valid_s) == ("STOP", cause, 0.0, 0.0)
     assert decision.because
 
@@ -97,22 +97,22 @@ def test_every_fault_stops_at_once_and_is_named(cause: str) -> None:
 def test_a_loop_that_stood_still_stops() -> None:
     drive = Drive().going()
     drive.now_s += 0.1
-    assert drive.round(heard()).cause == "overrun"
+    assert drive.round(inputs()).cause == "overrun"
 
 
 def test_fusions_own_word_counts_at_once() -> None:
     drive = Drive().going()
-    assert (drive.round(heard("SLOW")).permission, drive.round(heard("SLOW")).limit_mps) == ("SLOW", 0.5)
-    stopped = drive.round(heard("STOP"))
+    assert (drive.round(inputs("SLOW")).permission, drive.round(inputs("SLOW")).limit_mps) == ("SLOW", 0.5)
+    stopped = drive.round(inputs("STOP"))
     assert (stopped.permission, stopped.cause, stopped.because) == ("STOP", "verdict", "because STOP")
 
 
 def test_after_a_stop_it_takes_good_verdicts_without_a_break() -> None:
     drive = Drive().going()
-    drive.round(heard("STOP"))
-    assert {d.permission for d in drive.rounds(heard(), 0.9)} == {"STOP"}
-    drive.round(heard(age_s=0.3))
-    after = drive.rounds(heard(), 2.0)
+    drive.round(inputs("STOP"))
+    assert {d.permission for d in drive.rounds(inputs(), 0.9)} == {"STOP"}
+    drive.round(inputs(age_s=0.3))
+    after = drive.rounds(inputs(), 2.0)
     waiting = [d for d in after if d.permission == "STOP"]
     assert len(waiting) * PERIOD_S == pytest.approx(1.0, abs=1.5 * PERIOD_S)
     assert {d.cause for d in waiting} == {"waiting"}
@@ -122,12 +122,12 @@ def test_after_a_stop_it_takes_good_verdicts_without_a_break() -> None:
 
 def test_a_speed_limit_is_lifted_after_a_while_of_go() -> None:
     drive = Drive().going()
-    drive.round(heard("SLOW"))
-    given = [d.permission for d in drive.rounds(heard(), 0.8)]
+    drive.round(inputs("SLOW"))
+    given = [d.permission for d in drive.rounds(inputs(), 0.8)]
     assert given.index("GO") * PERIOD_S == pytest.approx(0.5, abs=1.5 * PERIOD_S)
-    drive.round(heard("STOP"))
-    drive.rounds(heard("SLOW"), 1.2)
-    assert drive.round(heard()).permission == "SLOW"
+    drive.round(inputs("STOP"))
+    drive.rounds(inputs("SLOW"), 1.2)
+    assert drive.round(inputs()).permission == "SLOW"
 
 
 @pytest.mark.parametrize(
@@ -148,55 +148,55 @@ def test_while_driving_the_limit_is_what_fusion_calls_safe(
     drive = Drive().going()
     for permission, limit_mps in zip(("GO", "SLOW"), limits_mps, strict=True):
         told = msgspec.structs.replace(verdict(permission), way=way, max_safe_speed_mps=safe_mps)
-        assert drive.round(heard(verdict=told)).limit_mps == limit_mps
+        assert drive.round(inputs(verdict=told)).limit_mps == limit_mps
 
 
 @pytest.mark.parametrize(
     ("acknowledge", "stop", "needed"),
     [
-        ("never", heard("STOP"), False),
-        ("never", heard(age_s=1.0), False),
-        ("after_fault", heard("STOP"), False),
-        ("after_fault", heard(age_s=1.0), True),
-        ("after_stop", heard("STOP"), True),
-        ("after_stop", heard(age_s=1.0), True),
+        ("never", inputs("STOP"), False),
+        ("never", inputs(age_s=1.0), False),
+        ("after_fault", inputs("STOP"), False),
+        ("after_fault", inputs(age_s=1.0), True),
+        ("after_stop", inputs("STOP"), True),
+        ("after_stop", inputs(age_s=1.0), True),
     ],
 )
-def test_who_has_to_acknowledge_what(acknowledge: str, stop: Heard, needed: bool) -> None:
+def test_who_has_to_acknowledge_what(acknowledge: str, stop: GateInputs, needed: bool) -> None:
     drive = Drive(acknowledge).going()
     assert drive.round(stop).acknowledge == needed
-    after = drive.rounds(heard(), 3.0)[-1]
+    after = drive.rounds(inputs(), 3.0)[-1]
     assert (after.permission, after.cause) == (("STOP", "acknowledge") if needed else ("GO", "verdict"))
-    assert drive.round(heard(acknowledged=True)).permission == "GO"
+    assert drive.round(inputs(acknowledged=True)).permission == "GO"
 
 
 def test_an_acknowledgement_during_the_fault_does_not_count() -> None:
     drive = Drive("after_stop").going()
-    drive.round(heard("STOP", acknowledged=True))
-    assert drive.rounds(heard(), 3.0)[-1].cause == "acknowledge"
+    drive.round(inputs("STOP", acknowledged=True))
+    assert drive.rounds(inputs(), 3.0)[-1].cause == "acknowledge"
 
 
 def test_a_permission_ends_when_its_verdict_gets_too_old() -> None:
     drive = Drive().going()
-    assert drive.round(heard(age_s=0.0)).valid_s == pytest.approx(0.2)
-    assert drive.round(heard(age_s=0.2)).valid_s == pytest.approx(0.05)
+    assert drive.round(inputs(age_s=0.0)).valid_s == pytest.approx(0.2)
+    assert drive.round(inputs(age_s=0.2)).valid_s == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize("age_s", [0.25, -0.05])
 def test_a_verdict_at_the_very_limit_of_its_age_is_in_time(age_s: float) -> None:
-    assert Drive().going().round(heard(age_s=age_s)).permission == "GO"
+    assert Drive().going().round(inputs(age_s=age_s)).permission == "GO"
 
 
 @pytest.mark.parametrize(("kind", "words"), [("unknown", "data of unknown origin"), ("simulated", "simulated data")])
 def test_what_a_refused_verdict_rests_on_is_named(kind: Any, words: str) -> None:
     told = msgspec.structs.replace(verdict(), source_kind=kind)
-    assert Drive().going().round(heard(verdict=told)).because == f"the verdict rests on {words}; accepted: live"
+    assert Drive().going().round(inputs(verdict=told)).because == f"the verdict rests on {words}; accepted: live"
 
 
 def test_every_stop_permits_nothing() -> None:
     drive = Drive("after_stop").going()
-    stopped = drive.round(heard("STOP"))
-    waiting, asking = drive.round(heard()), drive.rounds(heard(), 2.0)[-1]
+    stopped = drive.round(inputs("STOP"))
+    waiting, asking = drive.round(inputs()), drive.rounds(inputs(), 2.0)[-1]
     for decision, cause in (
         (STOPPED, "starting"), (stopped, "verdict"), (waiting, "waiting"), (asking, "acknowledge"),
     ):  # fmt: skip
@@ -204,7 +204,7 @@ def test_every_stop_permits_nothing() -> None:
         assert (decision.limit_mps, decision.valid_s) == (0.0, 0.0)
     assert (STOPPED.left_s, STOPPED.acknowledge) == (0.0, False)
     assert (asking.left_s, asking.acknowledge) == (0.0, True)
-    moving = Drive().going().round(heard())
+    moving = Drive().going().round(inputs())
     assert (moving.left_s, moving.acknowledge) == (0.0, False)
 
 
@@ -213,7 +213,7 @@ def test_times_that_are_over_to_the_moment() -> None:
     gate = GatePipeline(GateConfig(limits=LimitsConfig(overrun_s=0.0625)))
 
     def at(sixteenth: int, permission: str = "GO") -> Decision:
-        return gate.process(8.0 + sixteenth / 16, heard(permission))
+        return gate.process(8.0 + sixteenth / 16, inputs(permission))
 
     waiting = [at(k) for k in range(16)]
     assert {(one.permission, one.cause) for one in waiting} == {("STOP", "waiting")}
@@ -224,12 +224,12 @@ def test_times_that_are_over_to_the_moment() -> None:
 
 
 def test_the_permission_is_no_longer_for_a_verdict_from_the_future() -> None:
-    assert Drive().going().round(heard(age_s=-0.04)).valid_s == 0.2
-    assert Drive().going().round(heard(age_s=0.15)).valid_s == pytest.approx(0.1)
+    assert Drive().going().round(inputs(age_s=-0.04)).valid_s == 0.2
+    assert Drive().going().round(inputs(age_s=0.15)).valid_s == pytest.approx(0.1)
 
 
 anything = st.builds(
-    Heard,
+    GateInputs,
     verdict=st.sampled_from([None, verdict("GO"), verdict("GO"), verdict("GO"), verdict("SLOW"), verdict("STOP")]),
     age_s=st.sampled_from([0.0, 0.01, 0.02, 0.2, 0.24, 0.26, 5.0, -0.04, -0.06]),
     claimants=st.sampled_from([("a",), ("a",), ("a",), ("a",), (), ("a", "b")]),
@@ -241,7 +241,7 @@ history = st.lists(st.tuples(anything, st.integers(1, 60), st.floats(0.005, 0.12
 
 
 @given(history, st.sampled_from(["never", "after_fault", "after_stop"]))
-def test_what_holds_for_every_history(steps: list[tuple[Heard, int, float]], acknowledge: str) -> None:
+def test_what_holds_for_every_history(steps: list[tuple[GateInputs, int, float]], acknowledge: str) -> None:
     """Never more than fusion allows, never on a bad verdict, never soon after a stop, never longer than it is fresh."""
     drive = Drive(acknowledge)
     bad_s, order = drive.now_s, ("STOP", "SLOW", "GO")

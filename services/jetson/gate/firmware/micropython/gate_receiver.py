@@ -70,22 +70,22 @@ class GateReceiver:
         frame = self._buffer
         if frame[1] != VERSION or crc16(bytes(frame[:10])) != frame[10] | frame[11] << 8:
             return False
-        told, expiry_ms = frame[3], frame[6] | frame[7] << 8
-        if told not in (STOP, SLOW, GO) or expiry_ms > MAX_EXPIRY_MS:
+        ordered, expiry_ms = frame[3], frame[6] | frame[7] << 8
+        if ordered not in (STOP, SLOW, GO) or expiry_ms > MAX_EXPIRY_MS:
             return False
         self.tick(now_ms)
         ahead = (frame[2] - self.seq) & 0xFF
-        if self._alive and told != STOP and not 1 <= ahead <= 127:
+        if self._alive and ordered != STOP and not 1 <= ahead <= 127:
             return False  # a repetition, or one that was overtaken: it must not prolong anything
         if not self._alive:
             self._alive, self._steady_since_ms = True, now_ms
         self.seq, self._arrived_ms, self._expiry_ms = frame[2], now_ms, expiry_ms
-        if told != STOP and _since(now_ms, self._steady_since_ms) < STEADY_MS:
+        if ordered != STOP and _since(now_ms, self._steady_since_ms) < STEADY_MS:
             self._stop(NOT_STEADY_YET)
-        elif told == STOP:
+        elif ordered == STOP:
             self._stop(AS_TOLD)
         else:
-            self.permission, self.limit_mm_s, self.why = told, frame[4] | frame[5] << 8, AS_TOLD
+            self.permission, self.limit_mm_s, self.why = ordered, frame[4] | frame[5] << 8, AS_TOLD
         return True
 
     def _stop(self, why: int) -> None:
