@@ -151,8 +151,8 @@ def test_capsules_of_three_hosts_line_up_on_fusions_clock(tmp_path: Path) -> Non
             for zones in [LidarZones(stamp_ns=i, left=zone, centre=zone, right=zone, level="SAFE", raw_level="SAFE")]
         ]
         shared = [Kept(VERDICT_KEY, encode(verdict("IMMINENT")), T0 + offset_ns, 0.0)]
-        told = [Kept(HEALTH_KEY, encode(health("online", clocks=clocks)), T0 + 1, 0.0)]
-        own_health = told if host == "jetson0" else []
+        reports = [Kept(HEALTH_KEY, encode(health("online", clocks=clocks)), T0 + 1, 0.0)]
+        own_health = reports if host == "jetson0" else []
         capsules[host] = write_capsule(
             tmp_path / host, host, incident, [*shared, *own_health, *kept], {"spotter": {"version": "x"}}
         )

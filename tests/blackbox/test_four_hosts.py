@@ -92,8 +92,8 @@ def saved(
         until(lambda: bool(of_all_hosts()), "an alarm of the scenario is an incident on all hosts")
         name = of_all_hosts()[0]
         merged = lab.folder / "merged.mcap"
-        told = json.loads(spotter(lab, "incident", "open", name, "--out", str(merged), "--json"))
-        assert set(told["clocks"]) == set(HOSTS)
+        report = json.loads(spotter(lab, "incident", "open", name, "--out", str(merged), "--json"))
+        assert set(report["clocks"]) == set(HOSTS)
         yield merged, {host: lab.folder / host / name / f"{host}.mcap" for host in HOSTS}
 
 

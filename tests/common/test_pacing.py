@@ -55,12 +55,12 @@ def test_ticks_begin_now_or_when_they_are_told_to(clock: Clock) -> None:
 def test_of_the_ticks_that_were_missed_only_the_newest_comes(
     clock: Clock, busy_s: float, next_due_s: float, skipped: list[int]
 ) -> None:
-    told: list[int] = []
-    times = ticks(0.1, skipped=told.append)
+    reported: list[int] = []
+    times = ticks(0.1, skipped=reported.append)
     next(times)
     clock.now_s += busy_s
     assert next(times) == pytest.approx(next_due_s)
-    assert told == skipped
+    assert reported == skipped
     clock.now_s = max(clock.now_s, next_due_s)
     assert next(times) == pytest.approx(next_due_s + 0.1), "on the same grid as before"
 

@@ -56,5 +56,5 @@ def test_the_lidar_says_that_its_port_is_lost_and_goes_on(
     port = SerialBytes(lost_while_set_up, config.serial, report, ScanDecoder(config, report, 0.0))
     with pytest.raises(Enough):
         next(port.chunks())
-    told = report.snapshot()
-    assert (told.state, told.counters["port_failures"]) == ("disconnected", 1)
+    status = report.snapshot()
+    assert (status.state, status.counters["port_failures"]) == ("disconnected", 1)

@@ -112,14 +112,14 @@ def longest_run(flags: np.ndarray) -> int:
 
 def test_levels_of_the_demonstration_are_those_of_the_truth(crossing: Crossing) -> None:
     """Late by the frames that a gate asks for, held as long as it takes to shut it, and not a frame more."""
-    told = np.array([LEVELS.index(message.level) for message, _ in crossing])
+    reported = np.array([LEVELS.index(message.level) for message, _ in crossing])
     true = np.array([LEVELS.index(worst(*(target.level for target in targets))) for _, targets in crossing])
-    assert np.mean(told == true) > 0.9
+    assert np.mean(reported == true) > 0.9
     gate = CONFIG.tracking.approach_frames  # confirmation takes as many at the same time
-    assert longest_run(told < true) <= gate
-    assert longest_run(told > true) <= gate - 1
-    assert not np.any((told == 0) & (true == 2))
-    assert not np.any((told == 2) & (true == 0))
+    assert longest_run(reported < true) <= gate
+    assert longest_run(reported > true) <= gate - 1
+    assert not np.any((reported == 0) & (true == 2))
+    assert not np.any((reported == 2) & (true == 0))
 
 
 def test_ranges_of_the_demonstration_are_those_of_the_truth(crossing: Crossing) -> None:

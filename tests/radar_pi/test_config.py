@@ -56,7 +56,7 @@ def test_impossible_values_are_refused_with_a_reason(override: str, expected: st
 
 
 @pytest.mark.parametrize(
-    ("override", "told"),
+    ("override", "message"),
     [
         (
             "range_max_m=0.3",
@@ -68,16 +68,16 @@ def test_impossible_values_are_refused_with_a_reason(override: str, expected: st
         ),
     ],
 )
-def test_range_limits_that_leave_nothing_to_look_at_are_refused(tmp_path: Path, override: str, told: str) -> None:
+def test_range_limits_that_leave_nothing_to_look_at_are_refused(tmp_path: Path, override: str, message: str) -> None:
     path, (key, _, value) = tmp_path / "radar.toml", override.partition("=")
     path.write_text(f"[processing]\n{key} = {value}\n")
-    with pytest.raises(ConfigError, match=re.escape(f"{path}: [processing] {told}")):
+    with pytest.raises(ConfigError, match=re.escape(f"{path}: [processing] {message}")):
         load(RadarConfig, path)
     load(RadarConfig, path, ["source=file:longer.radar"])  # it has a waveform of its own
     for command in ([], ["look"]):
         words = ["--source", "sim:empty", "--set", f"processing.{override}", *command]
         result = CliRunner().invoke(app, words)
-        assert (result.exit_code, f"spotter: defaults with --set: [processing] {told}" in result.output) == (2, True)
+        assert (result.exit_code, f"spotter: defaults with --set: [processing] {message}" in result.output) == (2, True)
 
 
 @pytest.mark.parametrize(("mask", "receivers"), [(1, (1,)), (5, (1, 3)), (6, (2, 3)), (7, (1, 2, 3))])

@@ -27,7 +27,7 @@ PERIOD_S = 0.1
 BUMPER_M = MODEL_CAR.size_m[0] / 2
 
 
-class Told(NamedTuple):
+class Step(NamedTuple):
     """One frame of a drive."""
 
     t_s: float
@@ -39,26 +39,26 @@ class Told(NamedTuple):
         return LEVELS.index(self.message.level)
 
 
-def drive(scenario: Scenario, seconds: float, *, known: bool = True, scale: float = 1.0) -> list[Told]:
+def drive(scenario: Scenario, seconds: float, *, known: bool = True, scale: float = 1.0) -> list[Step]:
     """What the radar says; the vehicle's motion is that of the simulated encoder, times ``scale``, or unknown."""
-    pipeline, told = RadarPipeline(CONFIG), []
+    pipeline, steps = RadarPipeline(CONFIG), []
     for i in range(round(seconds / PERIOD_S)):
         t_s = i * PERIOD_S
         world = scenario.at(t_s)
         measured = odometry.measure(world)
         motion = Motion(scale * measured.speed_mps, measured.yaw_rate_radps) if known else None
         message = pipeline.process(round(t_s * 1e9) + 10**18, bgt60.frame(scenario, t_s, SHAPE), motion)
-        told.append(Told(t_s, world.T_map_vehicle[0, 3] + BUMPER_M, message))
-    return told
+        steps.append(Step(t_s, world.T_map_vehicle[0, 3] + BUMPER_M, message))
+    return steps
 
 
-def first(told: list[Told], level: Level, obstacle_m: float) -> float:
+def first(steps: list[Step], level: Level, obstacle_m: float) -> float:
     """How far ahead of the bumper the obstacle was when the level was first reached."""
-    return next(obstacle_m - one.x_m for one in told if one.rank >= LEVELS.index(level))
+    return next(obstacle_m - one.x_m for one in steps if one.rank >= LEVELS.index(level))
 
 
-def levels(told: list[Told]) -> set[Level]:
-    return {one.message.level for one in told}
+def levels(steps: list[Step]) -> set[Level]:
+    return {one.message.level for one in steps}
 
 
 def test_a_lane_of_parked_cars_is_safe_all_the_way() -> None:
@@ -72,26 +72,26 @@ def test_a_passage_is_safe() -> None:
 
 def test_without_a_known_motion_the_article_decides() -> None:
     """Relative closing counts then, wherever it will pass: the same drive alarms."""
-    told = drive(parked_lane(2.0), 7.0, known=False)
-    assert "IMMINENT" in levels(told)
-    assert all(one.message.motion is None for one in told)
-    assert all(track.on_way is None for one in told for track in one.message.tracks)
+    steps = drive(parked_lane(2.0), 7.0, known=False)
+    assert "IMMINENT" in levels(steps)
+    assert all(one.message.motion is None for one in steps)
+    assert all(track.on_way is None for one in steps for track in one.message.tracks)
 
 
 @pytest.mark.parametrize(("speed_mps", "imminent_m"), [(1.0, 1.4), (2.0, 2.85), (3.0, 4.2)])
 def test_a_box_in_the_way_is_imminent_as_early_as_by_the_article(speed_mps: float, imminent_m: float) -> None:
     """And stays so until it is there. CAUTION is the lidar's to give early: its bands grow with the speed."""
     at_m = 3.5 * speed_mps
-    told = drive(box_ahead(speed_mps, at_m), 2.9 + at_m / speed_mps)
-    assert first(told, "IMMINENT", at_m) >= imminent_m
-    assert {one.rank for one in told if at_m - imminent_m < one.x_m < at_m - 0.3} == {2}
+    steps = drive(box_ahead(speed_mps, at_m), 2.9 + at_m / speed_mps)
+    assert first(steps, "IMMINENT", at_m) >= imminent_m
+    assert {one.rank for one in steps if at_m - imminent_m < one.x_m < at_m - 0.3} == {2}
 
 
 @pytest.mark.parametrize("scale", [0.97, 1.03, 1.06])
 def test_a_speedometer_that_is_wrong_does_not_push_a_box_off_the_way(scale: float) -> None:
     """Its own ranges and speeds tell the scale: later, but in time to stop."""
-    told = drive(box_ahead(2.0, 7.0), 6.2, scale=scale)
-    assert first(told, "IMMINENT", 7.0) >= 1.8
+    steps = drive(box_ahead(2.0, 7.0), 6.2, scale=scale)
+    assert first(steps, "IMMINENT", 7.0) >= 1.8
 
 
 def test_a_box_beside_the_way_is_passed() -> None:
@@ -110,15 +110,15 @@ def test_a_box_beside_the_way_is_passed() -> None:
     ],
 )
 def test_people_on_the_way_and_off_it(motion: Straight, expected: Level) -> None:
-    told = drive(person_ahead(2.0, motion), 9.0)
-    assert max(levels(told), key=LEVELS.index) == expected
+    steps = drive(person_ahead(2.0, motion), 9.0)
+    assert max(levels(steps), key=LEVELS.index) == expected
 
 
 def test_what_turns_out_to_stand_beside_the_way_is_on_it_for_no_more_than_some_frames() -> None:
     way, speed_mps = Way(CONFIG), 2.0
     track = Track(np.array([4.0, -speed_mps, 0.0]), np.eye(3), snr_db=20.0, has_azimuth=True, approaching=True)
 
-    def told(frame: int, bearing_rad: float) -> Level:
+    def level_after(frame: int, bearing_rad: float) -> Level:
         """The level after a frame in which the track, ever nearer, is measured at that bearing."""
         range_m = 4.0 - frame * speed_mps * PERIOD_S
         track.measured = np.array([range_m, -speed_mps * np.cos(bearing_rad), bearing_rad])
@@ -126,8 +126,8 @@ def test_what_turns_out_to_stand_beside_the_way_is_on_it_for_no_more_than_some_f
         way.update(round(frame * PERIOD_S * 1e9), [track], Motion(speed_mps))
         return way.level(track)
 
-    ahead = [told(frame, 0.0) for frame in range(8)]
-    beside = [told(frame, 0.7) for frame in range(8, 18)]
+    ahead = [level_after(frame, 0.0) for frame in range(8)]
+    beside = [level_after(frame, 0.7) for frame in range(8, 18)]
     assert ahead[-1] == "IMMINENT"
     assert beside[0] == "IMMINENT"  # one frame is no proof
     assert set(beside[-4:]) == {"SAFE"}
@@ -147,29 +147,29 @@ def test_very_close_is_flagged_whatever_its_speed(ranges_m: list[float], speed_m
         bgt60.simulate([*bgt60.LEAKAGE, Target(r, speed_mps, amplitude_lsb=100.0)], SHAPE, seed=99 + i)
         for i, r in enumerate(ranges_m)
     ]
-    told = [pipeline.process(10**18 + i * 10**8, frame).level for i, frame in enumerate([*quiet, *there])]
-    assert set(told[: -len(there)]) == {"SAFE"}
-    assert set(told[-2:]) == {"CAUTION"}
+    reported = [pipeline.process(10**18 + i * 10**8, frame).level for i, frame in enumerate([*quiet, *there])]
+    assert set(reported[: -len(there)]) == {"SAFE"}
+    assert set(reported[-2:]) == {"CAUTION"}
 
 
 def test_an_alarm_names_the_time_to_contact() -> None:
-    told = drive(box_ahead(2.0, 6.0), 5.5)
-    for one in told:
+    steps = drive(box_ahead(2.0, 6.0), 5.5)
+    for one in steps:
         for track in one.message.tracks:
             if track.on_way and track.level != "SAFE":
                 assert track.ttc_s == pytest.approx((6.0 - one.x_m) / 2.02, abs=0.15)
 
 
 def test_the_cover_is_of_all_that_stands_only_while_driving() -> None:
-    told = drive(box_ahead(2.0, 6.0), 4.6)
-    before, during = told[20].message.cover, told[45].message.cover
+    steps = drive(box_ahead(2.0, 6.0), 4.6)
+    before, during = steps[20].message.cover, steps[45].message.cover
     assert before is not None
     assert during is not None
     assert (before.standing, during.standing) == (False, True)
     assert during.far_m == [CONFIG.on_path.cover_far_m]
-    assert told[5].message.cover is not None
-    assert told[5].message.cover.far_m == [0.0]  # the background is not learned yet
-    assert told[5].message.cover.why
+    assert steps[5].message.cover is not None
+    assert steps[5].message.cover.far_m == [0.0]  # the background is not learned yet
+    assert steps[5].message.cover.why
 
 
 def followed(place_m: tuple[float, float], velocity_mps: tuple[float, float], seen: range, seed: int) -> list[Level]:
@@ -177,7 +177,7 @@ def followed(place_m: tuple[float, float], velocity_mps: tuple[float, float], se
 
     ``place_m`` and ``velocity_mps`` over ground in the vehicle's frame of the first frame; we drive 2 m/s.
     """
-    rng, way, told, own_mps = np.random.default_rng([27, seed]), Way(CONFIG), [], 2.0
+    rng, way, reported, own_mps = np.random.default_rng([27, seed]), Way(CONFIG), [], 2.0
     track = Track(np.zeros(3), np.eye(3), snr_db=20.0, has_azimuth=True, approaching=True)
     for frame in seen:
         offset = np.array(place_m) - [CONFIG.mounting.x_m, 0.0]
@@ -190,8 +190,8 @@ def followed(place_m: tuple[float, float], velocity_mps: tuple[float, float], se
         way.update(round(frame * PERIOD_S * 1e9), [track], Motion(own_mps))
         assert track.meeting is not None
         track.meeting.standing._surges = 9  # its speed has shown that it moves
-        told.append(way.level(track))
-    return told
+        reported.append(way.level(track))
+    return reported
 
 
 def test_who_walks_along_beside_the_way_wavers_and_does_not_alarm() -> None:
@@ -202,8 +202,8 @@ def test_who_walks_along_beside_the_way_wavers_and_does_not_alarm() -> None:
 def test_who_walks_into_the_way_is_imminent_in_time() -> None:
     """From the side, to be hit after 2.0 s."""
     for seed in range(12):
-        told = followed((4.2, -2.5), (0.0, 1.2), range(21), seed)
-        assert told.index("IMMINENT") <= 14
+        reported = followed((4.2, -2.5), (0.0, 1.2), range(21), seed)
+        assert reported.index("IMMINENT") <= 14
 
 
 def test_an_echo_that_failed_to_come_puts_nothing_on_the_way() -> None:
@@ -211,16 +211,16 @@ def test_an_echo_that_failed_to_come_puts_nothing_on_the_way() -> None:
     way, own_mps = Way(configs_of("cart").radar), 2.0
     track = Track(np.zeros(3), np.eye(3), snr_db=36.0, has_azimuth=True, approaching=True)
     echoes = [(3.14, -3.65, 0.42), (2.75, -3.55, 0.49), (2.345, -3.333, 0.595), None, (1.742, -2.605, 0.865)]
-    told = []
+    reported = []
     for frame, echo in enumerate([*echoes, (1.494, -3.195, 0.669), None, None]):
         track.measured = None if echo is None else np.array(echo)
         track.state = track.state if echo is None else np.array(echo)
         way.update(round(frame * PERIOD_S * 1e9), [track], Motion(own_mps))
         assert track.meeting is not None
         track.meeting.standing._surges = 9
-        told.append(way.level(track))
+        reported.append(way.level(track))
     assert track.meeting.likely.contact_s is not None  # carried on as the last echo has it, it would come
-    assert set(told) == {"SAFE"}
+    assert set(reported) == {"SAFE"}
 
 
 def test_a_bearing_hardly_known_from_afar_is_no_place_in_the_way() -> None:

@@ -33,14 +33,14 @@ def test_a_router_that_is_a_year_behind_logs_no_error_a_message(
     endpoint, process = router
     config = ZenohConfig(connect=(endpoint,))
     plain, stamping = (ZenohConfig(connect=(endpoint,), extra={"timestamping/enabled": on}) for on in (False, True))
-    heard: list[bytes] = []
+    received: list[bytes] = []
     with open_session(config) as there, open_session(plain) as here, open_session(stamping) as clock:
-        there.declare_subscriber("*/radar/tracks", lambda sample: heard.append(sample.payload.to_bytes()))
+        there.declare_subscriber("*/radar/tracks", lambda sample: received.append(sample.payload.to_bytes()))
         stamp = zenoh.Timestamp(dt.datetime.now(dt.UTC) + A_YEAR, clock.new_timestamp().get_id())
 
         def came_through() -> bool:
             here.put("pi0/radar/tracks", b"tracks", timestamp=stamp)
-            return b"tracks" in heard
+            return b"tracks" in received
 
         until(came_through)
     process.terminate()

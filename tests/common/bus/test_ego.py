@@ -17,7 +17,7 @@ CONFIG = PathConfig()
 NOW_NS = 1_800_000_000_000_000_000
 
 
-def told(speed_mps: float | None = 1.5, stamp_ns: int = NOW_NS, **fields: Any) -> EgoMotion:
+def ego_motion(speed_mps: float | None = 1.5, stamp_ns: int = NOW_NS, **fields: Any) -> EgoMotion:
     return EgoMotion(stamp_ns=stamp_ns, speed_mps=speed_mps, yaw_rate_radps=fields.pop("yaw_rate_radps", 0.2), **fields)
 
 
@@ -34,7 +34,7 @@ def told(speed_mps: float | None = 1.5, stamp_ns: int = NOW_NS, **fields: Any) -
     ],
 )
 def test_only_fresh_motion_is_known(arrived_ago_s: float, stamped_ago_s: float, known: bool) -> None:
-    message = told(stamp_ns=NOW_NS - round(stamped_ago_s * 1e9))
+    message = ego_motion(stamp_ns=NOW_NS - round(stamped_ago_s * 1e9))
     motion = motion_at(Received("k", message, 100.0 - arrived_ago_s, 0), 100.0, NOW_NS, CONFIG)
     assert (motion is not None) is known
 
@@ -46,13 +46,13 @@ def test_nobody_tells() -> None:
 @pytest.mark.parametrize(
     ("message", "expected"),
     [
-        (told(), Motion(1.5, 0.2, 0.02, 0.02)),
-        (told(speed_sigma_mps=0.01, yaw_rate_sigma_radps=0.02), Motion(1.5, 0.2, 0.01, 0.02)),
-        (told(None), None),
-        (told(state="degraded", reason="implausible"), None),
-        (told(yaw_rate_radps=None), Motion(1.5, 0.0, 0.02, YAW_UNKNOWN_RADPS)),
-        (told(yaw_rate_radps=None, steering_rad=0.0), Motion(1.5, 0.0, 0.02, 0.05)),
-        (told(-1.0), Motion(-1.0, 0.2, 0.02, 0.02)),
+        (ego_motion(), Motion(1.5, 0.2, 0.02, 0.02)),
+        (ego_motion(speed_sigma_mps=0.01, yaw_rate_sigma_radps=0.02), Motion(1.5, 0.2, 0.01, 0.02)),
+        (ego_motion(None), None),
+        (ego_motion(state="degraded", reason="implausible"), None),
+        (ego_motion(yaw_rate_radps=None), Motion(1.5, 0.0, 0.02, YAW_UNKNOWN_RADPS)),
+        (ego_motion(yaw_rate_radps=None, steering_rad=0.0), Motion(1.5, 0.0, 0.02, 0.05)),
+        (ego_motion(-1.0), Motion(-1.0, 0.2, 0.02, 0.02)),
     ],
 )
 def test_what_a_message_says(message: EgoMotion, expected: Motion | None) -> None:
@@ -60,7 +60,7 @@ def test_what_a_message_says(message: EgoMotion, expected: Motion | None) -> Non
 
 
 def test_a_steering_angle_gives_the_yaw_rate_of_a_single_track() -> None:
-    motion = motion_of(told(2.0, yaw_rate_radps=None, steering_rad=0.2), CONFIG)
+    motion = motion_of(ego_motion(2.0, yaw_rate_radps=None, steering_rad=0.2), CONFIG)
     assert motion is not None
     assert motion.yaw_rate_radps == pytest.approx(2.0 * math.tan(0.2) / CONFIG.wheelbase_m)
 
@@ -79,7 +79,7 @@ def test_the_newest_message_counts_until_the_next() -> None:
     watch = EgoWatch(subscription, CONFIG)  # type: ignore[arg-type]
     assert watch.now() is None
     now_s = monotonic_s()
-    subscription.waiting = [Received("k", told(speed, utc_ns()), now_s, 0) for speed in (1.0, 2.0)]
+    subscription.waiting = [Received("k", ego_motion(speed, utc_ns()), now_s, 0) for speed in (1.0, 2.0)]
     for _ in range(2):
         motion = watch.now()
         assert motion is not None

@@ -72,9 +72,9 @@ def test_every_message_carries_the_kind_of_its_services_source(
     config = ServiceConfig(host="pi0", zenoh=zenoh_config, source=source)
     with Service("radar", config) as radar, Service("fusion", jetson(zenoh_config)) as fusion:
         publish, inbox = radar.publisher(topics.RADAR_TRACKS), fusion.latest(topics.RADAR_TRACKS, RadarTracks, "pi0")
-        heard: list[str] = []
-        until(lambda: publish(radar_tracks()) or heard.extend(one.message.source_kind for one in inbox.take()) or heard)
-        assert set(heard) == {kind}
+        kinds: list[str] = []
+        until(lambda: publish(radar_tracks()) or kinds.extend(one.message.source_kind for one in inbox.take()) or kinds)
+        assert set(kinds) == {kind}
 
 
 def test_token_goes_when_the_service_ends(zenoh_config: ZenohConfig, until: Callable[..., None]) -> None:

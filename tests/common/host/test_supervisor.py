@@ -195,13 +195,13 @@ class Swapped:
     """A supervised process that tells where its supervisor is, and another one that takes its place."""
 
     def __init__(self, folder: Path) -> None:
-        told = folder / "told"
-        tell = f"import os; open({str(told)!r}, 'w').write(os.environ['{INBOX_VARIABLE}'])"
-        self.child, self.told = python("radar", SLEEPER.replace("print('up'", f"{tell}; print('up'")), told
+        inbox_file = folder / "told"
+        tell = f"import os; open({str(inbox_file)!r}, 'w').write(os.environ['{INBOX_VARIABLE}'])"
+        self.child, self.inbox_file = python("radar", SLEEPER.replace("print('up'", f"{tell}; print('up'")), inbox_file
         self.new = subprocess.Popen([sys.executable, "-c", SLEEPER], stdout=subprocess.PIPE)
 
     async def take_over(self, *, kept: bool) -> None:
-        await until(lambda: self.child.pid and self.told.exists() and self.told.read_text())
+        await until(lambda: self.child.pid and self.inbox_file.exists() and self.inbox_file.read_text())
         assert self.new.stdout is not None
         self.new.stdout.readline()
         self.write_successor(kept)
@@ -210,7 +210,7 @@ class Swapped:
         await until(lambda: self.child.pid == self.new.pid)
 
     def write_successor(self, kept: bool) -> None:
-        inbox = inbox_of({INBOX_VARIABLE: self.told.read_text()})
+        inbox = inbox_of({INBOX_VARIABLE: self.inbox_file.read_text()})
         assert inbox is not None
         words = [sys.executable, "-c", "print('new', flush=True)\n" + SLEEPER]
         write_successor(inbox, "radar", Successor(self.new.pid, words, dict(os.environ), "/", kept))
@@ -259,7 +259,7 @@ def test_whoever_took_over_is_stopped_with_the_others_and_the_folder_goes(swappe
     asyncio.run(scenario())
     assert swapped.new.wait(10) == 0
     assert swapped.child.starts == 1
-    assert inbox_of({INBOX_VARIABLE: swapped.told.read_text()}) is None
+    assert inbox_of({INBOX_VARIABLE: swapped.inbox_file.read_text()}) is None
 
 
 def test_hosts_know_their_services() -> None:

@@ -83,12 +83,12 @@ def test_what_comes_after_the_clock_was_set_is_played_in_its_time(
             for i in range(20 * number // files, 20 * (number + 1) // files):
                 log_ns = 10**13 + i * 10**8 + (set_by_s * 10**9 if i >= 10 else 0)
                 add(file, "jetson0/ego/motion", EgoMotion(stamp_ns=log_ns, speed_mps=None, yaw_rate_radps=None), log_ns)
-    told: list[float] = []
+    progress_s: list[float] = []
     with open_session(zenoh_config) as session:
         player = Player(session, paths, Pace(rate=1e6, seek_s=0.35))
-        player.run(threading.Event(), told.append)
+        player.run(threading.Event(), progress_s.append)
     assert player.played == 16
-    assert told == pytest.approx([0.35 + 0.1 * i for i in range(16)])
+    assert progress_s == pytest.approx([0.35 + 0.1 * i for i in range(16)])
 
 
 def test_a_loop_over_nothing_ends(tmp_path: Path, zenoh_config: ZenohConfig, add: Add) -> None:

@@ -276,18 +276,18 @@ def test_a_live_lidar_is_recorded_with_its_bytes_and_comes_out_the_same(
     service.terminate()
     service.wait(10)
     recorder.terminate()
-    told = json.loads(recorder.communicate(timeout=20)[0])
-    verified = spawn("spotter", "replay", "--verify", "--service", "lidar", told["file"], "--json")
+    report = json.loads(recorder.communicate(timeout=20)[0])
+    verified = spawn("spotter", "replay", "--verify", "--service", "lidar", report["file"], "--json")
     outcome = json.loads(verified.communicate(timeout=60)[0])
     assert outcome["difference"] == ""
     assert outcome["compared"] == outcome["identical"] > 20
-    heard = threading.Event()
+    received = threading.Event()
     apart = ZenohConfig(connect=(router_endpoint,), namespace="replay")
     with open_session(apart) as listener:
-        subscriber = listener.declare_subscriber("jetson0/lidar/zones", lambda _: heard.set())
+        subscriber = listener.declare_subscriber("jetson0/lidar/zones", lambda _: received.set())
         spawn(
-            "spotter-lidar", "--source", f"mcap:{told['file']}", "--set", "zenoh.namespace=replay",
+            "spotter-lidar", "--source", f"mcap:{report['file']}", "--set", "zenoh.namespace=replay",
             "--set", f'zenoh.connect=["{router_endpoint}"]',
         )  # fmt: skip
-        assert heard.wait(20)
+        assert received.wait(20)
         del subscriber

@@ -120,10 +120,12 @@ def test_a_full_disk_stops_before_it_is_full(
 def test_a_disk_that_takes_no_file_at_all_leaves_none_behind(
     zenoh_config: ZenohConfig, tmp_path: Path, file_size_limit: Callable[[int], AbstractContextManager[None]]
 ) -> None:
-    told = f"{re.escape(str(tmp_path))}.*: File too large; recording stopped before the first message, no file is left"
+    message = (
+        f"{re.escape(str(tmp_path))}.*: File too large; recording stopped before the first message, no file is left"
+    )
     with open_session(zenoh_config) as laptop:
         recorder = Recorder(laptop, [topics.LIDAR_ZONES], RecorderOptions(tmp_path, 0, foxglove=False), {})
-        with file_size_limit(10), pytest.raises(DiskFull, match=told):
+        with file_size_limit(10), pytest.raises(DiskFull, match=message):
             recorder.run(threading.Event())
         recorder.close()
     assert list(tmp_path.iterdir()) == []
@@ -168,25 +170,26 @@ def test_a_disk_that_takes_no_more_is_one_line_and_the_file_holds_until_then(
         publish = lidar.publisher(topics.LIDAR_ZONES)
         recorder = Recorder(laptop, [topics.LIDAR_ZONES], RecorderOptions(tmp_path, 0, foxglove=False), {})
         until(lambda: publish.has_subscribers)
-        told: list[str] = []
+        errors: list[str] = []
 
         def run() -> None:
             try:
                 recorder.run(threading.Event())
             except DiskFull as error:
-                told.append(str(error))
+                errors.append(str(error))
 
         thread = threading.Thread(target=run)
         thread.start()
         publish(zones(0))
         until(lambda: recorder.status.free_bytes)  # the first second is on the disk
         room_for(20_000)
-        until(lambda: publish(zones(time.time_ns())) or told)
+        until(lambda: publish(zones(time.time_ns())) or errors)
         thread.join()
         recorder.close()
     (path,) = tmp_path.glob("*.mcap")
     said = re.fullmatch(
-        f"{re.escape(str(path))}: File too large; recording stopped, the file holds everything up to (.*) UTC", told[0]
+        f"{re.escape(str(path))}: File too large; recording stopped, the file holds everything up to (.*) UTC",
+        errors[0],
     )
     assert said is not None
     last_s = [one.log_ns for one in read(path)][-1] // 1_000_000_000
@@ -238,13 +241,13 @@ def test_a_bus_that_is_faster_than_the_disk_does_not_keep_the_recorder_from_flus
             super()._write(file, arrival)
             self._queue.put(arrival)  # another one is there before this one is done
 
-    stop, told = threading.Event(), threading.Event()
+    stop, reported = threading.Event(), threading.Event()
     with open_session(zenoh_config) as laptop:
         recorder = Overrun(laptop, [topics.LIDAR_ZONES], RecorderOptions(tmp_path, 0, foxglove=False), {})
         recorder._queue.put(Arrival("jetson0/lidar/zones", encode(zones(1)), 1))
-        thread = threading.Thread(target=recorder.run, args=(stop, lambda _: told.set()), daemon=True)
+        thread = threading.Thread(target=recorder.run, args=(stop, lambda _: reported.set()), daemon=True)
         thread.start()
-        assert told.wait(20)
+        assert reported.wait(20)
         stop.set()
         thread.join(20)
         recorder.close()

@@ -189,15 +189,15 @@ def test_a_child_that_is_killed_or_frozen_is_noticed_ended_and_replaced(
 
 
 @pytest.mark.parametrize(
-    ("misbehaviour", "told"),
+    ("misbehaviour", "reason"),
     [("hang", "no whole picture for 0.4 s"), ("end", "ended with code 1: ERROR: no cameras available")],
 )
 def test_a_child_that_hangs_in_a_picture_or_ends_is_replaced(
-    place: Path, misbehaviour: str, told: str, until: Callable[..., None]
+    place: Path, misbehaviour: str, reason: str, until: Callable[..., None]
 ) -> None:
     with Watched(config_with(child_command(place, misbehaviour))).running() as watched:
         until(watched.lost, "the loss")
-        assert told in watched.statuses[-1].reason
+        assert reason in watched.statuses[-1].reason
         before = len(watched.frames)
         until(watched.more_frames(), "more frames")
         assert np.all(watched.frames[before].image == watched.frames[before].image[0, 0, 0])  # no torn picture

@@ -30,7 +30,7 @@ def test_another_network_is_one_key() -> None:
 
 
 @pytest.mark.parametrize(
-    ("override", "told"),
+    ("override", "message"),
     [
         ("detector.confidence=1.5", "<= 1.0"),
         ("detector.modle=x.onnx", "did you mean 'model'"),
@@ -43,8 +43,8 @@ def test_another_network_is_one_key() -> None:
         ("distance.sizes.person.height_m=-1.0", "height_m"),
     ],
 )
-def test_wrong_values_are_refused(override: str, told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
+def test_wrong_values_are_refused(override: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         load(CameraConfig, overrides=[override])
 
 

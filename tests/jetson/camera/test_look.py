@@ -25,8 +25,8 @@ def test_a_slow_camera_is_told(report: Report, rate_hz: float, sees: bool) -> No
         provider="CPUExecutionProvider",
     )  # fmt: skip
     seen: PeriodSamples[Frame] = PeriodSamples([], rate_hz, report.snapshot())
-    told = describe(CameraConfig(source="sim:crossing"), seen, newest)
-    assert (told.sees, "too slow" in told.what, "more light" in told.do) == (sees, not sees, not sees)
+    look = describe(CameraConfig(source="sim:crossing"), seen, newest)
+    assert (look.sees, "too slow" in look.what, "more light" in look.do) == (sees, not sees, not sees)
 
 
 @pytest.mark.system

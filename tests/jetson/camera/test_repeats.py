@@ -26,8 +26,8 @@ def boxes(*rows: tuple[float, ...]) -> np.ndarray:
 def seen(*pictures: np.ndarray, period_ns: int = PERIOD_NS) -> list[bool]:
     """Of the last picture's boxes, which were seen before."""
     repeats = Repeats()
-    told = [repeats.seen_before((k + 1) * period_ns, picture) for k, picture in enumerate(pictures)]
-    return [bool(one) for one in told[-1]]
+    results = [repeats.seen_before((k + 1) * period_ns, picture) for k, picture in enumerate(pictures)]
+    return [bool(one) for one in results[-1]]
 
 
 @pytest.mark.parametrize(
@@ -71,9 +71,9 @@ class OnePhantom(SimulatedDetector):
 def test_a_phantom_counts_unless_the_vehicle_is_known_to_drive(motion: Motion | None, counts: bool) -> None:
     pipeline, image = CameraPipeline(CameraConfig(), OnePhantom()), simulated.image("empty", 0.0)
     for k in range(3):
-        told = pipeline.process((k + 1) * PERIOD_NS, image, motion)
-    (detection,) = told.detections
+        message = pipeline.process((k + 1) * PERIOD_NS, image, motion)
+    (detection,) = message.detections
     assert detection.in_zone
     assert detection.seen_before == counts
-    assert (told.level is not None) == counts
-    assert (read_camera(told).level is not None) == counts
+    assert (message.level is not None) == counts
+    assert (read_camera(message).level is not None) == counts

@@ -140,7 +140,7 @@ def test_a_killed_capture_is_in_health_and_heals(router_endpoint: str, laptop: L
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["--set", "detector.model=none.onnx"], "no such file; expected an ONNX file"),
         (["--source", "v4l2:0"], "the demo network knows the simulated world alone"),
@@ -148,9 +148,9 @@ def test_a_killed_capture_is_in_health_and_heals(router_endpoint: str, laptop: L
         (["--set", "capture.csi_command=['x', '{lens}']", *REAL], "'lens' is no placeholder"),
     ],
 )
-def test_a_wrong_configuration_ends_it_with_one_line(router_endpoint: str, arguments: list[str], told: str) -> None:
+def test_a_wrong_configuration_ends_it_with_one_line(router_endpoint: str, arguments: list[str], message: str) -> None:
     command = [sys.executable, "-m", "services.jetson.camera", "--set", f'zenoh.connect=["{router_endpoint}"]']
     done = subprocess.run([*command, *arguments], capture_output=True, text=True, timeout=BUDGET_S, check=False)
     assert done.returncode == 2
-    assert told in done.stderr
+    assert message in done.stderr
     assert "Traceback" not in done.stderr

@@ -44,14 +44,14 @@ def test_stills_are_what_the_service_gets(video: Path, tmp_path: Path, capsys: p
 
 
 @pytest.mark.parametrize(
-    ("source", "code", "told"),
+    ("source", "code", "message"),
     [
         ("v4l2:/dev/video99", 1, "spotter: /dev/video99 is not there; plug the camera in"),
         ("file:/no/such", 2, "no such file or folder"),
         ("sim:crossing", 0, "0 of 1 pictures show the board of 9 x 6 corners"),
     ],
 )
-def test_the_command_ends_with_words(tmp_path: Path, source: str, code: int, told: str) -> None:
+def test_the_command_ends_with_words(tmp_path: Path, source: str, code: int, message: str) -> None:
     command = [
         sys.executable,
         "-m",
@@ -64,7 +64,7 @@ def test_the_command_ends_with_words(tmp_path: Path, source: str, code: int, tol
         "1",
     ]
     done = subprocess.run([*command, "--every", "0.2"], capture_output=True, text=True, check=False)
-    assert (done.returncode, told in done.stdout + done.stderr) == (code, True), done
+    assert (done.returncode, message in done.stdout + done.stderr) == (code, True), done
 
 
 @pytest.mark.parametrize("option", ["--columns", "--rows"])

@@ -100,7 +100,7 @@ def test_only_the_fastest_replay_waits_for_the_reader(folder: Path, report: Repo
 
 
 @pytest.mark.parametrize(
-    ("url", "told"),
+    ("url", "message"),
     [
         ("usb:0", "expected one of csi:, file:, mcap:, ros2:, sim:, v4l2:"),
         ("sim:nowhere", "no scenario 'nowhere'"),
@@ -110,8 +110,8 @@ def test_only_the_fastest_replay_waits_for_the_reader(folder: Path, report: Repo
         ("file:{folder}?rate=fast", "is not a number"),
     ],
 )
-def test_a_wrong_source_is_refused_before_the_first_frame(folder: Path, report: Report, url: str, told: str) -> None:
-    with pytest.raises(ConfigError, match=told.replace("?", r"\?")):
+def test_a_wrong_source_is_refused_before_the_first_frame(folder: Path, report: Report, url: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message.replace("?", r"\?")):
         open_source(CameraConfig(source=url.format(folder=folder)), report)
 
 

@@ -57,8 +57,8 @@ def test_a_picture_is_not_in_the_snapshot_but_beside_it() -> None:
     board.put("jetson0/camera/image", image, 0.0)
     snapshot = board.snapshot(0.0, {"*"})
     assert len(snapshot) < 500
-    told = json.loads(snapshot)["entries"]["jetson0/camera/image"]["message"]
-    assert (told["seq"], told["captions"], "data" in told) == (3, ["car 5.2 m"], False)
+    message = json.loads(snapshot)["entries"]["jetson0/camera/image"]["message"]
+    assert (message["seq"], message["captions"], "data" in message) == (3, ["car 5.2 m"], False)
     assert board.image("jetson0/camera/image") == image.data
     assert board.image("jetson1/camera/image") is None
 
@@ -69,8 +69,8 @@ def test_a_picture_comes_by_its_stamp_or_not_at_all() -> None:
     for turn in range(2 * PICTURES):
         image = CompressedImage(stamp_ns=first_ns + turn, format="jpeg", data=b"%d" % turn)
         board.put("jetson0/camera/image", image, 0.0)
-    told = json.loads(board.snapshot(0.0, {"camera/image"}))["entries"]["jetson0/camera/image"]["message"]
-    assert told["address"] == f"/api/image/jetson0?stamp={first_ns + 2 * PICTURES - 1}"
+    message = json.loads(board.snapshot(0.0, {"camera/image"}))["entries"]["jetson0/camera/image"]["message"]
+    assert message["address"] == f"/api/image/jetson0?stamp={first_ns + 2 * PICTURES - 1}"
     kept = {ago: board.image("jetson0/camera/image", first_ns + 2 * PICTURES - 1 - ago) for ago in (0, 1, PICTURES)}
     assert kept == {0: b"%d" % (2 * PICTURES - 1), 1: b"%d" % (2 * PICTURES - 2), PICTURES: None}
 

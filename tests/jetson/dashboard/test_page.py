@@ -80,8 +80,8 @@ def violations(browser: Any) -> list[str]:
     """What axe-core has to say against the page as it is now: contrast, names, roles, structure."""
     browser.run(f"{AXE.read_text()}; 0")
     rules = {"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]}
-    told = "r.violations.flatMap((v) => v.nodes.map((n) => `${v.id}: ${n.target} ${n.failureSummary}`))"
-    found: list[str] = browser.run(f"axe.run(document, {json.dumps(rules)}).then((r) => {told})")
+    expression = "r.violations.flatMap((v) => v.nodes.map((n) => `${v.id}: ${n.target} ${n.failureSummary}`))"
+    found: list[str] = browser.run(f"axe.run(document, {json.dumps(rules)}).then((r) => {expression})")
     return found
 
 

@@ -37,12 +37,12 @@ def port(until: Callable[..., None]) -> Iterator[int]:
 
 
 def answer(link: socket.socket) -> bytes:
-    told = b""
-    while not told.endswith(b"\r\n\r\nok"):
+    received = b""
+    while not received.endswith(b"\r\n\r\nok"):
         more = link.recv(1000)
         assert more
-        told += more
-    return told
+        received += more
+    return received
 
 
 @pytest.mark.parametrize("asked_before", [0, 1, 3])

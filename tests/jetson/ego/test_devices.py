@@ -61,7 +61,7 @@ class Terminal:
     """A pseudo-terminal whose far end repeats ``say(n)`` every 10 ms, and keeps what it was told."""
 
     def __init__(self, say: Callable[[int], bytes]) -> None:
-        self.say, self.heard = say, b""
+        self.say, self.received = say, b""
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
@@ -84,7 +84,7 @@ class Terminal:
         while not self._stop.wait(0.01):
             count += 1
             with contextlib.suppress(BlockingIOError):
-                self.heard += os.read(self._master, 4096)
+                self.received += os.read(self._master, 4096)
             with contextlib.suppress(BlockingIOError):
                 os.write(self._master, self.say(count))
 
@@ -147,7 +147,7 @@ def test_a_vesc_is_asked_and_answers(watch: Any, until: Until) -> None:
         until(lambda: seen.motion.speed_mps is not None, "speed")
         assert seen.motion.speed_mps == pytest.approx(2.0, abs=0.01)
         assert seen.motion.battery_v == pytest.approx(11.8)
-        until(lambda: REQUEST in terminal.heard, "it was asked")
+        until(lambda: REQUEST in terminal.received, "it was asked")
         terminal.say = lambda count: b""
         until(lambda: seen.counted("vesc no answer"), "no answer")
         assert seen.motion.speed_mps is None
@@ -171,14 +171,14 @@ def test_signals_on_a_virtual_can_bus(tmp_path: Path, watch: Any, until: Until) 
     with can.Bus(channel="ego-test", interface="virtual") as sender:
         seen = watch(CanBus(parse_source("can:ego-test", SCHEMES), config), config)
 
-        def told(value: int, length: int = 8) -> bool:
+        def arrives(value: int, length: int = 8) -> bool:
             data = value.to_bytes(2, "little", signed=True) + bytes(6)
             sender.send(can.Message(arbitration_id=256, data=data[:length], is_extended_id=False))
             sender.send(can.Message(arbitration_id=999, data=b"other", is_extended_id=False))
             return seen.motion.speed_mps == pytest.approx(value * 0.01 / 3.6, abs=1e-6)
 
-        until(lambda: told(720), "2 m/s")
-        until(lambda: told(0, length=1) or seen.counted("can nonsense"), "a frame that is too short")
+        until(lambda: arrives(720), "2 m/s")
+        until(lambda: arrives(0, length=1) or seen.counted("can nonsense"), "a frame that is too short")
 
 
 def test_a_can_interface_that_is_not_there(tmp_path: Path, watch: Any, until: Until) -> None:

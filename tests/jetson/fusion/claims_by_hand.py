@@ -15,8 +15,8 @@ GONE = SensorInput(state="disconnected", level=None)
 HERE, AT_2 = Place(1.0, 0.0, 0.0), Place(2.0, 0.0, 0.3)
 
 
-def inputs(now_s: float = 10.0, moving: Any = None, **told: Any) -> FusionInputs:
-    return FusionInputs(now_s=now_s, moving=moving, **({"lidar": CLEAR, "radar": CLEAR, "camera": EMPTY} | told))
+def inputs(now_s: float = 10.0, moving: Any = None, **fields: Any) -> FusionInputs:
+    return FusionInputs(now_s=now_s, moving=moving, **({"lidar": CLEAR, "radar": CLEAR, "camera": EMPTY} | fields))
 
 
 def claim(place: Place | None = HERE, level: Any = "IMMINENT", by: str = "lidar", **more: Any) -> Claim:

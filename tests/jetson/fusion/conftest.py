@@ -241,8 +241,8 @@ class Bench:
         return self.health.sensors[name]
 
     def is_in(self, name: str, state: str, cause: str | None = None) -> bool:
-        told = self.sensor(name)
-        return told.state == state and cause in (None, told.cause)
+        sensor = self.sensor(name)
+        return sensor.state == state and cause in (None, sensor.cause)
 
 
 @pytest.fixture

@@ -99,7 +99,7 @@ def mutants(source: str, only_in_class: str | None = None) -> Iterator[tuple[str
     """Pairs of (what was changed, the changed module); what comes twice is numbered."""
     tree = ast.parse(source)
     lines = source.splitlines()
-    told: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for index, node in enumerate(_nodes(tree, only_in_class)):
         for what in _mutations(node):
             changed = copy.deepcopy(tree)
@@ -107,8 +107,8 @@ def mutants(source: str, only_in_class: str | None = None) -> Iterator[tuple[str
             text = _apply(twin, what)
             line = getattr(node, "lineno", 0)
             name = f"{lines[line - 1].strip()}  [{text}]"
-            told[name] += 1
-            yield name if told[name] == 1 else f"{name} {told[name]}", ast.fix_missing_locations(changed)
+            counts[name] += 1
+            yield name if counts[name] == 1 else f"{name} {counts[name]}", ast.fix_missing_locations(changed)
 
 
 def _nodes(tree: ast.Module, only_in_class: str | None) -> Iterator[ast.AST]:
@@ -220,8 +220,8 @@ def check(name: str, part: int = 1, parts: int = 1) -> tuple[int, list[str]]:
     unknown = EQUIVALENT.get(name, {}).keys() - {what for what, _ in all_of_them}
     if unknown:
         raise RuntimeError(f"{name} has no such mutant any more: {', '.join(sorted(unknown))}")
-    told = [(what, tree) for what, tree in all_of_them if what not in EQUIVALENT.get(name, {})][part - 1 :: parts]
-    return len(told), [what for what, tree in told if not is_noticed(name, tree)]
+    selected = [(what, tree) for what, tree in all_of_them if what not in EQUIVALENT.get(name, {})][part - 1 :: parts]
+    return len(selected), [what for what, tree in selected if not is_noticed(name, tree)]
 
 
 def main() -> int:

@@ -39,10 +39,10 @@ def lidar(*things: tuple[float, float], reach_m: float = FAR_M) -> LidarZones:
 
 def track(level: str = "IMMINENT", range_m: float = 3.0, **fields: Any) -> RadarTrack:
     """Standing, straight ahead by its azimuth, up to 1 m beside by its speed."""
-    told: dict[str, Any] = {"track_id": 1, "azimuth_rad": 0.0, "beside_m": (0.0, 1.0), **fields}
+    values: dict[str, Any] = {"track_id": 1, "azimuth_rad": 0.0, "beside_m": (0.0, 1.0), **fields}
     return RadarTrack(
         range_m=range_m, velocity_mps=-2.0, age_frames=9, approaching=True, moving=False, ttc_s=1.4,
-        level=level, snr_db=20.0, **told,
+        level=level, snr_db=20.0, **values,
     )  # fmt: skip
 
 
@@ -53,8 +53,8 @@ def radar(*tracks: RadarTrack, stamp_ns: int = 10**18) -> RadarTracks:
     )
 
 
-def left_over(told: RadarTracks, seen: LidarZones, motion: Motion | None = DRIVING) -> Abreast | None:
-    return AbreastWatch(PATH).set_aside(Dated(told, 0.05, seen, 0.05), motion)
+def left_over(tracks: RadarTracks, seen: LidarZones, motion: Motion | None = DRIVING) -> Abreast | None:
+    return AbreastWatch(PATH).set_aside(Dated(tracks, 0.05, seen, 0.05), motion)
 
 
 def test_two_posts_that_the_lidar_sees_are_no_alarm() -> None:
@@ -108,9 +108,9 @@ COUNTS = {
 }
 
 
-@pytest.mark.parametrize("told", COUNTS.values(), ids=COUNTS)
-def test_the_radar_counts_when(told: tuple[RadarTrack, LidarZones, Motion | None]) -> None:
-    one, seen, motion = told
+@pytest.mark.parametrize("case", COUNTS.values(), ids=COUNTS)
+def test_the_radar_counts_when(case: tuple[RadarTrack, LidarZones, Motion | None]) -> None:
+    one, seen, motion = case
     assert left_over(radar(one), seen, motion) is None
 
 
@@ -133,16 +133,16 @@ def test_a_scan_that_misses_a_post_ends_it_after_half_a_second() -> None:
     watch = AbreastWatch(PATH)
     assert watch.set_aside(Dated(radar(track()), 0.05, lidar(*GATE), 0.05), DRIVING) is not None
     for after_ms, counts in ((100, False), (500, False), (520, True)):
-        told = radar(track(), stamp_ns=10**18 + after_ms * 10**6)
-        assert (watch.set_aside(Dated(told, 0.05, lidar(), 0.05), DRIVING) is None) == counts
+        tracks = radar(track(), stamp_ns=10**18 + after_ms * 10**6)
+        assert (watch.set_aside(Dated(tracks, 0.05, lidar(), 0.05), DRIVING) is None) == counts
 
 
 def test_what_was_beside_before_the_radars_clock_went_back_counts_again() -> None:
     """Set back by an hour or restarted with a clock that is behind: another thing has the number of the first one."""
     watch = AbreastWatch(PATH)
     assert watch.set_aside(Dated(radar(track()), 0.05, lidar(*GATE), 0.05), DRIVING) is not None
-    told = radar(track(), stamp_ns=10**18 - 3600 * 10**9)
-    assert watch.set_aside(Dated(told, 0.05, lidar(), 0.05), DRIVING) is None
+    tracks = radar(track(), stamp_ns=10**18 - 3600 * 10**9)
+    assert watch.set_aside(Dated(tracks, 0.05, lidar(), 0.05), DRIVING) is None
 
 
 def test_a_caution_beyond_the_lidars_reach_waits_only_while_a_stop_needs_less() -> None:
@@ -171,8 +171,8 @@ FROM_RADAR_M, ASIDE_M = math.hypot(POST[0] - RADAR_X_M, POST[1]), POST[1]
     ],
 )
 def test_how_far_off_the_echo_the_posts_may_be(range_m: float, beside_m: tuple[float, float], aside: bool) -> None:
-    told = radar(track(range_m=range_m, beside_m=beside_m))
-    assert (left_over(told, lidar(POST, (POST[0], -POST[1]))) is not None) == aside
+    tracks = radar(track(range_m=range_m, beside_m=beside_m))
+    assert (left_over(tracks, lidar(POST, (POST[0], -POST[1]))) is not None) == aside
 
 
 def in_sector(sector: int, aside_m: float) -> tuple[float, float]:
@@ -200,23 +200,23 @@ RIGHT_ROW = tuple(in_sector(SECTORS - 1 - sector, -1.0) for sector in (52, 51, 5
 def test_an_echo_may_come_from_between_the_rays_of_a_row(
     range_m: float, near: tuple[int, float], far: tuple[int, float], aside: bool
 ) -> None:
-    told = radar(track(range_m=range_m, beside_m=(0.6, 0.98)))
+    tracks = radar(track(range_m=range_m, beside_m=(0.6, 0.98)))
     seen = lidar(*RIGHT_ROW, in_sector(*near), in_sector(*far), reach_m=12.0)
-    assert (left_over(told, seen) is not None) == aside
+    assert (left_over(tracks, seen) is not None) == aside
 
 
 @pytest.mark.parametrize(("least_m", "aside"), [(1.96, True), (1.94, False)])
 def test_far_beside_is_measured_from_the_way_which_may_curve(least_m: float, aside: bool) -> None:
     """Half of its 3 m; an arc of 10 m leads off the line of travel by 0.45 m there."""
-    told = radar(track(range_m=3.0, beside_m=(least_m, 3.0)))
-    assert (left_over(told, lidar(), Motion(2.0, 0.2)) is not None) == aside
+    tracks = radar(track(range_m=3.0, beside_m=(least_m, 3.0)))
+    assert (left_over(tracks, lidar(), Motion(2.0, 0.2)) is not None) == aside
 
 
 def test_in_a_curve_the_sides_are_those_of_the_line_of_travel() -> None:
     """In a left turn the radar, ahead of the axle, drifts to the left: at 3 m by 9 cm. One post is 5 cm left of x."""
-    posts, told = lidar((3.2, 0.05), (3.1, 1.25)), radar(track(beside_m=(0.0, 1.2)))
-    assert left_over(told, posts, Motion(2.0, 0.3)) is not None
-    assert left_over(told, posts, Motion(2.0, 0.0)) is None
+    posts, tracks = lidar((3.2, 0.05), (3.1, 1.25)), radar(track(beside_m=(0.0, 1.2)))
+    assert left_over(tracks, posts, Motion(2.0, 0.3)) is not None
+    assert left_over(tracks, posts, Motion(2.0, 0.0)) is None
 
 
 def test_a_sector_that_was_not_seen_is_no_post() -> None:
@@ -224,13 +224,13 @@ def test_a_sector_that_was_not_seen_is_no_post() -> None:
     seen = lidar((0.45, 0.3))
     assert seen.cover is not None
     covered = msgspec.structs.replace(seen.cover, y_m=-0.12, far_m=[0.0] * 30 + seen.cover.far_m[30:])
-    told = radar(track(range_m=0.45))
-    assert left_over(told, msgspec.structs.replace(seen, cover=covered)) is None
+    tracks = radar(track(range_m=0.45))
+    assert left_over(tracks, msgspec.structs.replace(seen, cover=covered)) is None
 
 
 def test_of_two_that_are_set_aside_the_worse_is_named() -> None:
-    told = radar(track("CAUTION", range_m=2.8, track_id=2), track(range_m=2.987))
-    assert left_over(told, lidar(*GATE)) == Abreast("SAFE", (), "IMMINENT", 2.99)
+    tracks = radar(track("CAUTION", range_m=2.8, track_id=2), track(range_m=2.987))
+    assert left_over(tracks, lidar(*GATE)) == Abreast("SAFE", (), "IMMINENT", 2.99)
 
 
 @pytest.mark.parametrize(("reach_m", "waits"), [(5.3, False), (5.5, True)])

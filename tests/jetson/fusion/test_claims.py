@@ -27,10 +27,10 @@ class Run:
     def __init__(self, **rules: Any) -> None:
         self.memory, self.rules, self.now_s = FusionMemory(), RulesConfig(suppression="off", **rules), 10.0
 
-    def step(self, count: int = 1, **told: Any) -> Any:
+    def step(self, count: int = 1, **changes: Any) -> Any:
         for _ in range(count):
             self.now_s = round(self.now_s + 0.1, 6)
-            sensors = {"lidar": CLEAR, "radar": CLEAR, "camera": EMPTY, "moving": None} | told
+            sensors = {"lidar": CLEAR, "radar": CLEAR, "camera": EMPTY, "moving": None} | changes
             verdict, self.memory = fuse(FusionInputs(now_s=self.now_s, **sensors), self.memory, self.rules)
         return verdict
 
@@ -107,16 +107,16 @@ def test_what_confirms_has_counted_from_caution_on() -> None:
     run.step(
         lidar=sees("CAUTION", BOX), camera=replace(sees("CAUTION", BOX), sightings=(Sighting("CAUTION", BOX), far))
     )
-    told = {claim.level: claim.counted for claim in run.memory.claims if claim.by == "camera"}
-    assert told == {"CAUTION": True, "SAFE": False}
+    counted = {claim.level: claim.counted for claim in run.memory.claims if claim.by == "camera"}
+    assert counted == {"CAUTION": True, "SAFE": False}
 
 
 @pytest.mark.parametrize(("ranging", "may_end"), [("lidar", ("lidar",)), ("radar", ())])
 def test_a_lidar_that_alarmed_as_well_may_end_what_the_camera_confirmed(ranging: str, may_end: Any) -> None:
     run, somewhere = Run(), SensorInput(state="online", level="CAUTION", age_s=0.02)
     run.step(camera=somewhere, **{ranging: somewhere})
-    (told,) = [claim for claim in run.memory.claims if claim.by == "camera"]
-    assert (told.counted, told.seen_by) == (True, may_end)
+    (confirmed,) = [claim for claim in run.memory.claims if claim.by == "camera"]
+    assert (confirmed.counted, confirmed.seen_by) == (True, may_end)
 
 
 def test_a_confirmation_that_may_not_raise_is_not_kept() -> None:

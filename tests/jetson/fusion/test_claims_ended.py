@@ -25,14 +25,14 @@ def test_a_sighting_makes_a_claim() -> None:
 
 def test_the_worst_and_nearest_of_many_are_kept() -> None:
     places = [Place(20.0 - 1.5 * one, 0.0, 0.0) for one in range(12)] + [Place(0.2, 3.0 * one, 0.0) for one in range(8)]
-    told = after(inputs(lidar=shows("CAUTION", *places), radar=shows("IMMINENT", Place(30.0, 0.0, 0.0))))
-    assert len([one for one in told if one.by == "lidar"]) == 16
-    assert max(one.place.x_m for one in told if one.by == "lidar" and one.place) == 14.0
+    claims = after(inputs(lidar=shows("CAUTION", *places), radar=shows("IMMINENT", Place(30.0, 0.0, 0.0))))
+    assert len([one for one in claims if one.by == "lidar"]) == 16
+    assert max(one.place.x_m for one in claims if one.by == "lidar" and one.place) == 14.0
     levels = [Sighting("CAUTION", Place(1.0, 2.0 * one, 0.0)) for one in range(16)]
-    told = after(
+    claims = after(
         inputs(lidar=SensorInput("online", "IMMINENT", sightings=(*levels, Sighting("IMMINENT", Place(9, 0, 0)))))
     )
-    assert (told[0].level, len(told)) == ("IMMINENT", 16)
+    assert (claims[0].level, len(claims)) == ("IMMINENT", 16)
 
 
 def test_a_renewed_claim_keeps_its_beginning_and_takes_the_rest_from_the_sighting() -> None:
@@ -126,9 +126,9 @@ def test_as_bad_is_seen_less_is_counted() -> None:
 @pytest.mark.parametrize(("counted", "kept"), [(False, 0), (True, 1)])
 @pytest.mark.parametrize("state", ["degraded", "disconnected"])
 def test_only_a_word_of_the_camera_that_has_counted_outlives_it(counted: bool, kept: int, state: Any) -> None:
-    told = after(inputs(camera=SensorInput(state, None)), claim(by="camera", counted=counted))
-    assert len(told) == kept
-    assert all(one.lost for one in told)
+    claims = after(inputs(camera=SensorInput(state, None)), claim(by="camera", counted=counted))
+    assert len(claims) == kept
+    assert all(one.lost for one in claims)
 
 
 def test_a_claim_of_a_sensor_that_is_not_even_configured_any_more_is_lost() -> None:
@@ -156,9 +156,9 @@ OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any], int | None]] = {  # mess
 
 @pytest.mark.parametrize("case", OTHERS)
 def test_whose_word_about_a_lost_sensor_s_claim_counts(case: str) -> None:
-    changed, told, count = OTHERS[case]
+    changed, sensors, count = OTHERS[case]
     lost = claim(**({"lost": True, "seen_by": ("camera",)} | changed))
-    kept = [one for one in after(inputs(lidar=GONE, **told), lost, stamps_ns={"camera": 5}) if one.by == "lidar"]
+    kept = [one for one in after(inputs(lidar=GONE, **sensors), lost, stamps_ns={"camera": 5}) if one.by == "lidar"]
     assert [len(one.since_seen) for one in kept] == [count]
 
 
@@ -204,8 +204,8 @@ SEEN: dict[str, tuple[dict[str, SensorInput], tuple[str, ...]]] = {
 
 @pytest.mark.parametrize("case", SEEN)
 def test_who_has_seen_it_and_only_it(case: str) -> None:
-    told, names = SEEN[case]
-    first, *_ = [one for one in after(inputs(**({"lidar": shows("IMMINENT", HERE)} | told))) if one.place == HERE]
+    sensors, names = SEEN[case]
+    first, *_ = [one for one in after(inputs(**({"lidar": shows("IMMINENT", HERE)} | sensors))) if one.place == HERE]
     assert (first.by, first.seen_by) == ("lidar", names)
 
 
@@ -240,8 +240,8 @@ DECAY: dict[str, tuple[float, dict[str, Any], dict[str, Any], str]] = {
 
 @pytest.mark.parametrize("case", DECAY)
 def test_standing_with_its_sensor_out_it_is_less_after_a_time(case: str) -> None:
-    now_s, told, of_claim, level = DECAY[case]
-    given = inputs(now_s, **({"moving": False, "lidar": GONE} | told))
+    now_s, sensors, of_claim, level = DECAY[case]
+    given = inputs(now_s, **({"moving": False, "lidar": GONE} | sensors))
     (kept,) = after(given, claim(seen_s=10.0, **of_claim), stamps_ns={"lidar": 7})
     assert kept.level == level
 
@@ -249,8 +249,8 @@ def test_standing_with_its_sensor_out_it_is_less_after_a_time(case: str) -> None
 @pytest.mark.parametrize(("acknowledged", "count"), [(False, 2), (True, 1)])
 def test_a_person_ends_what_is_not_seen_now(acknowledged: bool, count: int) -> None:
     given = inputs(lidar=GONE, radar=shows("CAUTION", HERE), acknowledged=acknowledged)
-    told = after(given, claim())
-    assert (len(told), told[-1].by) == (count, "radar")
+    claims = after(given, claim())
+    assert (len(claims), claims[-1].by) == (count, "radar")
 
 
 @pytest.mark.parametrize(
@@ -263,8 +263,8 @@ def test_a_person_ends_what_is_not_seen_now(acknowledged: bool, count: int) -> N
     ],
 )
 def test_the_camera_s_word_is_noted_from_a_level_on(by: str, level: Any, counted: bool) -> None:
-    (told,) = count_camera((claim(by=by, level=level, seen_by=("sonar",)),), ("lidar",), "CAUTION")
-    assert (told.counted, told.seen_by) == (counted, ("lidar", "sonar") if counted else ("sonar",))
+    (updated,) = count_camera((claim(by=by, level=level, seen_by=("sonar",)),), ("lidar",), "CAUTION")
+    assert (updated.counted, updated.seen_by) == (counted, ("lidar", "sonar") if counted else ("sonar",))
 
 
 def test_the_worst_of_them() -> None:

@@ -52,8 +52,8 @@ SIGHTINGS: dict[str, tuple[str, SensorInput, list[tuple[Any, Any, str]]]] = {
 @pytest.mark.parametrize("case", SIGHTINGS)
 def test_what_a_message_shows(case: str) -> None:
     name, sensor, expected = SIGHTINGS[case]
-    told = sightings_of(inputs(**{name: sensor}), name)
-    assert [(one.level, one.place, one.key) for one in told] == expected
+    sightings = sightings_of(inputs(**{name: sensor}), name)
+    assert [(one.level, one.place, one.key) for one in sightings] == expected
 
 
 @pytest.mark.parametrize(
@@ -73,9 +73,9 @@ def test_when_standing_tracks_count(lidar: Any, radar: Any, moving: Any, counts:
     tracks = SensorInput(radar, "SAFE", static_level=standing)
     given = inputs(moving=moving, lidar=SensorInput(lidar, None), radar=tracks)
     assert uses_static(given) == counts
-    told = sightings_of(given, "radar")
+    sightings = sightings_of(given, "radar")
     expected = [(standing, "standing", "standing")] if counts and standing in ("CAUTION", "IMMINENT") else []
-    assert [(one.level, one.key, one.what) for one in told] == expected
+    assert [(one.level, one.key, one.what) for one in sightings] == expected
     assert sightings_of(given, "lidar") == ()
 
 
@@ -89,8 +89,8 @@ def test_somewhere_ahead() -> None:
 )
 def test_a_message_is_counted_once(stamp_ns: int, counted_ns: int | None, fresh: bool) -> None:
     memory = FusionMemory(stamps_ns={} if counted_ns is None else {"lidar": counted_ns})
-    told = fresh_sensors(inputs(lidar=SensorInput("online", "SAFE", stamp_ns=stamp_ns)), memory)
-    assert ("lidar" in told) == fresh
+    sensors = fresh_sensors(inputs(lidar=SensorInput("online", "SAFE", stamp_ns=stamp_ns)), memory)
+    assert ("lidar" in sensors) == fresh
 
 
 # Which sighting shows which claim
@@ -187,8 +187,8 @@ def test_driving_back_is_a_way_as_well_and_turning_turns() -> None:
 )
 def test_what_is_far_or_behind_is_left(place: Place, kept: bool) -> None:
     given = inputs(10.5, moving=True, speed_mps=1.0, yaw_rate_radps=0.0)
-    told = list(carry(given, FusionMemory(10.0, (claim(place, travelled_m=0.5), claim())), RULES))
-    assert len(told) == (2 if kept else 1)
+    carried = list(carry(given, FusionMemory(10.0, (claim(place, travelled_m=0.5), claim())), RULES))
+    assert len(carried) == (2 if kept else 1)
 
 
 @pytest.mark.parametrize(

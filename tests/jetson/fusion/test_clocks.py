@@ -55,9 +55,9 @@ def test_a_contradiction_is_a_step_and_trust_comes_back() -> None:
     assert watch.distrust(1.0)
     watch.add(sample(1.5, 4.0))
     assert watch.distrust(1.5) == ""
-    told = watch.health(1.5)
-    assert told is not None
-    assert (told.offset_ms, told.trusted) == (4000.0, True)
+    health = watch.health(1.5)
+    assert health is not None
+    assert (health.offset_ms, health.trusted) == (4000.0, True)
 
 
 def test_noise_within_the_bounds_is_no_step() -> None:
@@ -158,9 +158,9 @@ def test_the_limits_themselves() -> None:
 def test_what_health_is_told() -> None:
     watch = ClockWatch(CONFIG)
     watch.add(sample(1.0, 0.25, 0.002))
-    told = watch.health(1.0)
-    assert told is not None
-    assert (told.offset_ms, told.bound_ms, told.age_s, told.trusted) == (250.0, 2.0, 0.0, True)
+    health = watch.health(1.0)
+    assert health is not None
+    assert (health.offset_ms, health.bound_ms, health.age_s, health.trusted) == (250.0, 2.0, 0.0, True)
     later = watch.health(3.0)
     assert later is not None
     assert later.bound_ms == pytest.approx(2.0 + 2.0 * 50e-3)

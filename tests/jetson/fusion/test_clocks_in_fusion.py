@@ -45,7 +45,7 @@ def test_a_step_of_our_own_clock_raises_the_floor_and_no_sensor_is_blamed(bench:
     bench.until(lambda: bench.health.colour == "green", 2.0)
     assert bench.verdict.level == "SAFE"
     for verdict in bench.verdicts[first - 1 :]:
-        assert {told.state for told in verdict.inputs.values()} == {"online"}
+        assert {sensor.state for sensor in verdict.inputs.values()} == {"online"}
 
 
 def test_a_bound_that_was_there_and_is_lost_raises_the_floor(new_bench: Any) -> None:

@@ -273,18 +273,18 @@ def test_random_fault_sequences(new_bench: Any, seed: int) -> None:
 
 
 def check(bench: Any, verdict: Any) -> None:
-    told = verdict.inputs
+    inputs = verdict.inputs
     for name in ONBOARD_SENSORS:  # what the bench knows of the sensors, whatever fusion believes
         if bench.is_dead(name):
-            assert told[name].state != "online", (name, bench.sensor(name))
-    out = sum(told[name].state != "online" for name in ONBOARD_SENSORS)
+            assert inputs[name].state != "online", (name, bench.sensor(name))
+    out = sum(inputs[name].state != "online" for name in ONBOARD_SENSORS)
     if out >= 2:
         assert verdict.level != "SAFE"
     assert verdict.blind == (out == len(ONBOARD_SENSORS))
     if verdict.blind:
         assert verdict.permission == "STOP"
     for name in set(ONBOARD_SENSORS) - {"camera"}:
-        if told[name].state != "disconnected" and told[name].level == "IMMINENT":
+        if inputs[name].state != "disconnected" and inputs[name].level == "IMMINENT":
             assert verdict.level == "IMMINENT"
-        if told[name].state != "disconnected" and RANK[told[name].level] >= 1 and not verdict.suppressed:
+        if inputs[name].state != "disconnected" and RANK[inputs[name].level] >= 1 and not verdict.suppressed:
             assert verdict.level != "SAFE"

@@ -113,8 +113,8 @@ def test_a_long_vehicle_that_turns_across_us_is_seen_by_its_outline(new_bench: A
 def moving(speed: float, *, knows_speed: bool) -> Callable[[float], EgoMotion]:
     def ego(t_s: float) -> EgoMotion:
         pose = pose_2d(speed * t_s, 0.0, 0.0).tolist()
-        told = {"speed_mps": speed if knows_speed else None, "yaw_rate_radps": 0.0 if knows_speed else None}
-        return EgoMotion(stamp_ns=ego.bench.now_ns + 50_000_000, T_map_vehicle=pose, **told)  # type: ignore[attr-defined]
+        motion = {"speed_mps": speed if knows_speed else None, "yaw_rate_radps": 0.0 if knows_speed else None}
+        return EgoMotion(stamp_ns=ego.bench.now_ns + 50_000_000, T_map_vehicle=pose, **motion)  # type: ignore[attr-defined]
 
     return ego
 

@@ -199,7 +199,7 @@ def test_a_watcher_that_lost_its_own_link_blames_nobody_else(bench: Any) -> None
     bench.instances = set()
     bench.tick()
     assert bench.health.summary.startswith("I AM ISOLATED")
-    assert {told.cause for told in bench.health.sensors.values()} == {"isolated"}
+    assert {sensor.cause for sensor in bench.health.sensors.values()} == {"isolated"}
     assert (bench.verdict.level, bench.verdict.blind, bench.verdict.permission) == ("CAUTION", True, "STOP")
 
 
@@ -223,24 +223,24 @@ def test_a_sensor_at_the_edge_of_its_limit_does_not_flap(bench: Any) -> None:
 
 
 def test_health_comes_on_change_and_at_least_twice_a_second(bench: Any) -> None:
-    told = []
+    times_s = []
     for _ in range(40):
         before = bench.health
         bench.tick()
         if bench.health is not before:
-            told.append(bench.now_s)
-    gaps = [later - earlier for earlier, later in itertools.pairwise(told)]
+            times_s.append(bench.now_s)
+    gaps = [later - earlier for earlier, later in itertools.pairwise(times_s)]
     assert max(gaps) <= 0.5
     assert min(gaps) > 0.2, "nothing changed, so it is not told at every tick"
 
 
 def test_rate_age_and_since_are_told(bench: Any) -> None:
     bench.run(3.0)
-    told = bench.sensor("radar")
-    assert told.rate_hz == pytest.approx(10.0, rel=0.1)
-    assert told.age_ms is not None
-    assert 0.0 < told.age_ms < 200.0
-    since_ns = told.since_ns
+    sensor = bench.sensor("radar")
+    assert sensor.rate_hz == pytest.approx(10.0, rel=0.1)
+    assert sensor.age_ms is not None
+    assert 0.0 < sensor.age_ms < 200.0
+    since_ns = sensor.since_ns
     bench.run(1.0)
     assert bench.sensor("radar").since_ns == since_ns
 

@@ -54,17 +54,17 @@ def run(messages: Any) -> Run:
 
 
 def status(at_s: float, state: Any, reason: str = "", old_s: float = 0.0) -> DatedStatus:
-    told = ServiceStatus(
+    message = ServiceStatus(
         stamp_ns=1, state=state, reason=reason, published=0, dropped=0, bad_input=0, rate_hz=0.0,
         last_frame_age_s=None, stage_ms={}, rss_mb=1.0,
     )  # fmt: skip
-    return DatedStatus(Received("pi0/radar/status", told, at_s, START_NS), Age(at_s, old_s))
+    return DatedStatus(Received("pi0/radar/status", message, at_s, START_NS), Age(at_s, old_s))
 
 
 def test_a_new_watch_is_disconnected_since_it_was_first_asked(run: Run) -> None:
-    told = run.judge(1.0)
-    assert (told.state, told.cause, told.since_ns) == ("disconnected", "waiting", START_NS + 10**9)
-    assert (told.age_ms, told.rate_hz) == (None, 0.0)
+    health = run.judge(1.0)
+    assert (health.state, health.cause, health.since_ns) == ("disconnected", "waiting", START_NS + 10**9)
+    assert (health.age_ms, health.rate_hz) == (None, 0.0)
     assert run.judge(2.0).since_ns == START_NS + 10**9
 
 
@@ -125,9 +125,9 @@ def test_data_that_may_be_over_its_limit_is_stale(run: Run) -> None:
     for at_s in (8.0, 8.125):
         run.take(at_s, old_s=0.125, around=around)
     assert run.judge(8.375, around).state == "online"
-    told = run.judge(8.5, around)
-    assert (told.state, told.cause) == ("disconnected", "stale")
-    assert told.reason == "stale: data may be 0.62 s old (limit 0.5 s), its clock is known to 125 ms only"
+    health = run.judge(8.5, around)
+    assert (health.state, health.cause) == ("disconnected", "stale")
+    assert health.reason == "stale: data may be 0.62 s old (limit 0.5 s), its clock is known to 125 ms only"
 
 
 @pytest.mark.parametrize(("old_s", "cause"), [(3600.0, "stale"), (3600.125, "clock")])
@@ -146,8 +146,8 @@ def test_stale_says_whether_nothing_comes_or_whether_it_comes_late(run: Run) -> 
 
 def test_there_without_data_says_so_or_what_was_wrong_with_it(run: Run) -> None:
     assert run.judge(1.0).reason == "radar on pi0 is there, no data yet"
-    told = replace(THERE, status=status(1.0, "starting", "warming up"))
-    assert run.judge(1.0, told).reason == "radar on pi0 is there, no data yet (warming up)"
+    starting = replace(THERE, status=status(1.0, "starting", "warming up"))
+    assert run.judge(1.0, starting).reason == "radar on pi0 is there, no data yet (warming up)"
     broken = replace(THERE, undecodable="undecodable: not a map")
     assert run.judge(1.0, broken).reason == "undecodable: not a map"
 
@@ -155,9 +155,9 @@ def test_there_without_data_says_so_or_what_was_wrong_with_it(run: Run) -> None:
 def test_a_token_that_was_seen_and_went_is_a_process_that_ended(run: Run) -> None:
     assert run.judge(1.0, LinkState()).cause == "waiting"
     run.judge(1.125)
-    told = run.judge(1.25, LinkState())
-    assert told.cause == "service_gone"
-    assert told.reason == "radar on pi0 has ended; the host is up"
+    health = run.judge(1.25, LinkState())
+    assert health.cause == "service_gone"
+    assert health.reason == "radar on pi0 has ended; the host is up"
 
 
 def test_silence_for_longer_than_a_status_period_before_the_token_went_is_the_host(messages: Any) -> None:
@@ -165,8 +165,10 @@ def test_silence_for_longer_than_a_status_period_before_the_token_went_is_the_ho
     at_the_limit, after_it = Run(messages).online(), Run(messages).online()
     assert at_the_limit.judge(9.625, gone).cause == "service_gone"
     assert after_it.judge(9.75, gone).cause == "host_unreachable"
-    told = replace(gone, status=status(8.5, "online"))
-    assert Run(messages).online().judge(10.0, told).cause == "service_gone", "its status was heard later than its data"
+    with_status = replace(gone, status=status(8.5, "online"))
+    assert Run(messages).online().judge(10.0, with_status).cause == "service_gone", (
+        "its status was heard later than its data"
+    )
 
 
 def test_nothing_heard_for_longer_than_a_status_period_is_a_process_that_hangs(run: Run) -> None:

@@ -18,8 +18,8 @@ def look(own: OwnTrack, *rows: tuple[int, float, float]) -> int | None:
 
 def test_what_moves_with_us_close_by_for_some_messages_is_us() -> None:
     own = OwnTrack()
-    told = [look(own, (7, 0.45, 0.1)) for _ in range(ENOUGH)]
-    assert told == [None] * (ENOUGH - 1) + [7]
+    ids = [look(own, (7, 0.45, 0.1)) for _ in range(ENOUGH)]
+    assert ids == [None] * (ENOUGH - 1) + [7]
     assert look(own, (7, 0.45, 0.5)) == 7, "exactly as different as allowed"
 
 
@@ -70,8 +70,8 @@ def test_while_our_motion_is_unknown_place_alone_tells() -> None:
 @pytest.mark.parametrize("order", [(7, 9), (9, 7)])
 def test_the_nearer_of_two_is_us(order: tuple[int, int]) -> None:
     own, beside_m = OwnTrack(), {7: 0.2, 9: 0.5}
-    told = [look(own, *((one, beside_m[one], 0.1) for one in order)) for _ in range(ENOUGH)]
-    assert told[-1] == 7
+    ids = [look(own, *((one, beside_m[one], 0.1) for one in order)) for _ in range(ENOUGH)]
+    assert ids[-1] == 7
 
 
 def test_a_track_that_was_lost_begins_anew() -> None:

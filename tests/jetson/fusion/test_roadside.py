@@ -249,11 +249,11 @@ def test_raise_three_clear_four(levels: list[Any]) -> None:
     ranks = [0 if level is None else 1 + (level == "IMMINENT") for level in levels]
     expected = 0
     for count, level in enumerate(levels, start=1):
-        told = alarm.update(None if level is None else Threat(level, 1.0, {}))
+        result = alarm.update(None if level is None else Threat(level, 1.0, {}))
         for band in (1, 2):
             if count >= 3 and all(rank >= band for rank in ranks[count - 3 : count]):
                 expected = max(expected, band)
         for band in (2, 1):
             if count >= 4 and expected >= band and all(rank < band for rank in ranks[count - 4 : count]):
                 expected = band - 1
-        assert told == (None, "CAUTION", "IMMINENT")[expected]
+        assert result == (None, "CAUTION", "IMMINENT")[expected]

@@ -179,7 +179,7 @@ def test_fusion_without_a_router_says_that_it_is_isolated_and_comes_back(
     endpoint = f"tcp/127.0.0.1:{free_ports()}"
     router_config = build(ZenohConfig(mode="router", connect=(), listen=(endpoint,), namespace=""))
     config = FusionConfig(zenoh=ZenohConfig(connect=(endpoint,)))
-    told: list[SystemHealth] = []
+    reports: list[SystemHealth] = []
     stop = threading.Event()
 
     def run() -> None:
@@ -190,19 +190,19 @@ def test_fusion_without_a_router_says_that_it_is_isolated_and_comes_back(
                     return
                 _, health = pipeline.process(observation)
                 if health is not None:
-                    told.append(health)
+                    reports.append(health)
 
     def isolated() -> bool:
-        return told[-1].summary.startswith("I AM ISOLATED")
+        return reports[-1].summary.startswith("I AM ISOLATED")
 
     router = zenoh.open(router_config)
     thread = threading.Thread(target=run)
     thread.start()
     try:
-        until(lambda: told and not isolated())
+        until(lambda: reports and not isolated())
         router.close()
         until(isolated)
-        assert {sensor.cause for sensor in told[-1].sensors.values()} == {"isolated"}
+        assert {sensor.cause for sensor in reports[-1].sensors.values()} == {"isolated"}
         router = zenoh.open(router_config)
         until(lambda: not isolated())
     finally:

@@ -30,7 +30,7 @@ def test_a_vehicle_that_knows_from_its_radar_that_it_stands_does_not_alarm_for_w
     bench.silent.add("radar")
     bench.extra["lidar"] = {"state": "degraded", "reason": "covered"}
     radar = RadarPipeline(msgspec.structs.replace(CONFIG, own_speed=OwnSpeedConfig(enabled=knows)))
-    told = []
+    verdicts = []
     for number, body in enumerate([None] * SETTLING + COMES + STANDS):
         echoes = [*LEAKAGE, *WALLS] + ([body] if body else [])
         tracks = radar.process(bench.now_ns, simulate(echoes, SHAPE, seed=number))
@@ -38,8 +38,8 @@ def test_a_vehicle_that_knows_from_its_radar_that_it_stands_does_not_alarm_for_w
             message.seq = number
             bench.receive(key, message)
         bench.tick()
-        told.append(bench.tick())
-    coming, standing = told[SETTLING + 12 : SETTLING + len(COMES)], told[-10:]
+        verdicts.append(bench.tick())
+    coming, standing = verdicts[SETTLING + 12 : SETTLING + len(COMES)], verdicts[-10:]
     assert {verdict.level for verdict in coming} == {"CAUTION", "IMMINENT"}
     assert tracks.static_level == "CAUTION"
     assert bench.pipeline.step.inputs.moving is (False if knows else None)

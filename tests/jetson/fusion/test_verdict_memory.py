@@ -25,8 +25,8 @@ class Run:
         self.memory, self.rules = FusionMemory(), rules or RulesConfig()
 
     def at(self, now_s: float, **sensors: Any) -> Any:
-        told = {"lidar": ONLINE, "radar": ONLINE, "camera": EMPTY, "moving": None} | sensors
-        verdict, self.memory = fuse(FusionInputs(now_s=now_s, **told), self.memory, self.rules)
+        inputs = {"lidar": ONLINE, "radar": ONLINE, "camera": EMPTY, "moving": None} | sensors
+        verdict, self.memory = fuse(FusionInputs(now_s=now_s, **inputs), self.memory, self.rules)
         return verdict
 
 

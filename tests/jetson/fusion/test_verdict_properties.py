@@ -198,10 +198,10 @@ def test_the_same_inputs_give_the_same_verdict(history: list[FusionInputs]) -> N
 def test_every_verdict_explains_itself(history: list[FusionInputs]) -> None:
     for step, verdict in zip(history, run(history), strict=True):
         assert verdict.because
-        assert all(told.why for told in verdict.inputs.values())
+        assert all(sensor.why for sensor in verdict.inputs.values())
         assert bool(verdict.to_lower) == (verdict.level != "SAFE")
-        for name, told in verdict.inputs.items():  # whoever holds the level up is named
-            if name in ("lidar", "radar") and told.used and RANK[told.level] == RANK[verdict.level] > RANK["SAFE"]:
+        for name, sensor in verdict.inputs.items():  # whoever holds the level up is named
+            if name in ("lidar", "radar") and sensor.used and RANK[sensor.level] == RANK[verdict.level] > RANK["SAFE"]:
                 assert f"{spoken(name)} to report" in verdict.to_lower
         assert {"lidar", "radar", "camera"} <= set(verdict.inputs)
         assert ("infra_lidar" in verdict.inputs) == (step.roadside is not None)

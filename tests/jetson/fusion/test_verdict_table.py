@@ -87,11 +87,11 @@ def test_all_raw_combinations_fall_into_a_golden_row(golden: list[dict[str, str]
 def canonical(raw: dict[str, Any]) -> tuple[str, ...]:
     """The golden row's key of a raw combination."""
 
-    def ranging(state: str, told: Any) -> str:
-        alarm = told in ("CAUTION", "IMMINENT")
+    def ranging(state: str, reported: Any) -> str:
+        alarm = reported in ("CAUTION", "IMMINENT")
         if state == "online":
-            return str(told or "SAFE")
-        return str(told) if state == "degraded" and alarm else "-"
+            return str(reported or "SAFE")
+        return str(reported) if state == "degraded" and alarm else "-"
 
     static = raw["radar_static"] if raw["radar"] == "online" and raw["radar_static"] in LEVELS[2:] else "-"
     seeing = raw["camera"] == "online"

@@ -32,10 +32,10 @@ def test_the_bytes_of_a_permission() -> None:
 def test_can_frames_are_what_the_dbc_file_says() -> None:
     cantools = pytest.importorskip("cantools")
     database = cantools.database.load_file("services/jetson/gate/gate.dbc")
-    told = database.decode_message("GatePermission", can_payload(7, SLOW, 0.2))
-    assert (told["Sequence"], str(told["Permission"]), told["Expiry"], told["Version"]) == (7, "SLOW", 123, 1)
-    assert told["SpeedLimit"] == pytest.approx(0.5)
-    assert told["Crc"] == crc8_j1850(can_payload(7, SLOW, 0.2)[1:])
+    fields = database.decode_message("GatePermission", can_payload(7, SLOW, 0.2))
+    assert (fields["Sequence"], str(fields["Permission"]), fields["Expiry"], fields["Version"]) == (7, "SLOW", 123, 1)
+    assert fields["SpeedLimit"] == pytest.approx(0.5)
+    assert fields["Crc"] == crc8_j1850(can_payload(7, SLOW, 0.2)[1:])
 
 
 def test_permissions_are_four_bits_apart() -> None:

@@ -189,8 +189,8 @@ def test_permissions_on_a_virtual_can_bus() -> None:
             output.send(0.0, decision, 0)
         assert output.fault(0.0) == ""
         output.close()
-        heard = [listener.recv(1.0) for _ in range(3)]
-    assert [(one.arbitration_id, one.data[1], one.data[2]) for one in heard] == [
+        frames = [listener.recv(1.0) for _ in range(3)]
+    assert [(one.arbitration_id, one.data[1], one.data[2]) for one in frames] == [
         (200, 1, CODES["GO"]), (200, 2, CODES["STOP"]), (200, 3, CODES["STOP"]),
     ]  # fmt: skip
 

@@ -35,9 +35,9 @@ def line(lead_mps: float, count: int = 20, sigma_m: float = 0.0) -> list[float |
 @pytest.mark.parametrize("lead_mps", [0.0, 1.0, 2.0, 3.0, 4.0])
 @pytest.mark.parametrize("sigma_m", [0.0, 0.02])
 def test_the_speed_is_never_more_than_it_is(lead_mps: float, sigma_m: float) -> None:
-    told = told_mps(line(lead_mps, sigma_m=sigma_m))
-    assert told[:4] == [0.0] * 4
-    for one in told[6:]:
+    speeds_mps = told_mps(line(lead_mps, sigma_m=sigma_m))
+    assert speeds_mps[:4] == [0.0] * 4
+    for one in speeds_mps[6:]:
         assert max(0.0, lead_mps - 0.35) <= one <= lead_mps + 1e-9
 
 
@@ -48,9 +48,9 @@ def test_one_scan_may_miss_or_be_off_and_two_may_not() -> None:
         assert min(told_mps(distances)[6:]) > 2.5
     steps_in = line(3.0)
     steps_in[10:12] = [4.0, 3.7]
-    told = told_mps(steps_in)
-    assert told[10] > 2.5
-    assert told[11] == 0.0
+    speeds_mps = told_mps(steps_in)
+    assert speeds_mps[10] > 2.5
+    assert speeds_mps[11] == 0.0
 
 
 def test_nothing_is_known_in_a_curve_without_motion_or_after_a_gap() -> None:
@@ -83,9 +83,9 @@ def test_a_car_that_is_followed_is_no_wall_until_it_brakes(scan_of: Callable[...
     """At 1.5 s of headway; at 4 m/s^2 it stops after 1.1 m, and 3.1 m are needed."""
     t = SCAN_S * np.arange(12)
     follows, brakes = np.full(15, 4.5), np.maximum(4.5 - 2.0 * t**2, 4.5 + 1.125 - OWN_MPS * t)
-    told = levels(scan_of, [*follows, *brakes])
-    assert set(told[6:15]) == {"SAFE"}
-    first = {level: told.index(level, 7) - 15 for level in ("CAUTION", "IMMINENT")}
+    reported = levels(scan_of, [*follows, *brakes])
+    assert set(reported[6:15]) == {"SAFE"}
+    first = {level: reported.index(level, 7) - 15 for level in ("CAUTION", "IMMINENT")}
     assert first["CAUTION"] <= 6  # 3.9 m left
     assert first["IMMINENT"] <= 10  # 2.6 m left, and the car has moved on by 1.1 m
 
@@ -93,7 +93,7 @@ def test_a_car_that_is_followed_is_no_wall_until_it_brakes(scan_of: Callable[...
 def test_a_wall_is_a_wall(scan_of: Callable[..., LaserScan]) -> None:
     """The bands for what stands hold for what stands, to the centimetre."""
     distances = list(np.arange(10.5, 2.0, -OWN_MPS * SCAN_S))
-    told = levels(scan_of, distances)
+    reported = levels(scan_of, distances)
     zones = zones_for(CONFIG, Motion(OWN_MPS))
     for level, band_m in (("CAUTION", zones.caution_m), ("IMMINENT", zones.imminent_m)):
-        assert distances[told.index(level)] >= band_m - OWN_MPS * SCAN_S * 2.5
+        assert distances[reported.index(level)] >= band_m - OWN_MPS * SCAN_S * 2.5

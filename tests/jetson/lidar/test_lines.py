@@ -36,11 +36,11 @@ def with_line(scan: LaserScan, seen: Seen, confidence: int = 200) -> LaserScan:
 def driven(scan_of: ScanOf, seen: Sequence[Seen], confidence: int = 200, waits: bool = True) -> list[LidarZones]:
     """One scan after the other at ``SPEED_MPS``; something beside the way is always there."""
     pipeline = LidarPipeline(replace_zones(lines_wait=waits))
-    told = []
+    messages = []
     for number, one in enumerate(seen):
         scan = with_line(scan_of([(3.0, 2.0, 2.6)], number=number), one, confidence)
-        told.append(pipeline.process(scan.stamp_ns, scan, Motion(SPEED_MPS)))
-    return told
+        messages.append(pipeline.process(scan.stamp_ns, scan, Motion(SPEED_MPS)))
+    return messages
 
 
 def replace_zones(**keys: bool) -> LidarConfig:
@@ -55,9 +55,9 @@ def coming(
     return [(begin_m - step_m * k, lean, -half_m, half_m) for k in range(count) if begin_m - step_m * k > 0.3]
 
 
-def first_m(told: list[LidarZones], seen: Sequence[Seen], level: str) -> float:
+def first_m(messages: list[LidarZones], seen: Sequence[Seen], level: str) -> float:
     """Where the line was when the level was first said; 0 = never."""
-    for message, one in zip(told, seen, strict=True):
+    for message, one in zip(messages, seen, strict=True):
         if message.level == level or (level == "CAUTION" and message.level != "SAFE"):
             assert one is not None
             return one[0]
@@ -84,8 +84,8 @@ NOTHING: list[Seen] = [None] * 6
     ],
 )
 def test_whose_caution_waits(scan_of: ScanOf, name: str, seen: list[Seen], confidence: int, waits: bool) -> None:
-    told = driven(scan_of, seen, confidence)
-    caution_m, imminent_m = first_m(told, seen, "CAUTION"), first_m(told, seen, "IMMINENT")
+    messages = driven(scan_of, seen, confidence)
+    caution_m, imminent_m = first_m(messages, seen, "CAUTION"), first_m(messages, seen, "IMMINENT")
     assert (caution_m < STOP_M + 0.3 * SPEED_MPS + 0.3) == waits, f"{name}: {caution_m}"
     assert STOP_M - 0.65 <= imminent_m <= STOP_M + 0.4, name
     assert first_m(driven(scan_of, seen, confidence, waits=False), seen, "CAUTION") >= 4.4, name

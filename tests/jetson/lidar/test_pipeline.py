@@ -82,14 +82,14 @@ def test_zones_travel(scan_of: Callable[..., LaserScan]) -> None:
 
 def test_raw_level_flickers_and_level_does_not(scan_of: Callable[..., LaserScan]) -> None:
     pipeline = LidarPipeline(LidarConfig())
-    told = []
+    results = []
     for number in range(12):
         things = [(0.5, -0.1, 0.1)] if number % 2 else []
-        told.append(pipeline.process(START_NS + number * 10**8, scan_of(things, 2.5)))
-    assert [zones.raw_level for zones in told] == ["SAFE", "IMMINENT"] * 6
-    assert {zones.level for zones in told} == {"SAFE"}
+        results.append(pipeline.process(START_NS + number * 10**8, scan_of(things, 2.5)))
+    assert [zones.raw_level for zones in results] == ["SAFE", "IMMINENT"] * 6
+    assert {zones.level for zones in results} == {"SAFE"}
     # The distance that goes with SAFE is the wall's, never the ghost's
-    assert {zones.centre.nearest_m for zones in told[3:]} == {2.497}  # the round wall's nearest x in the lane
+    assert {zones.centre.nearest_m for zones in results[3:]} == {2.497}  # the round wall's nearest x in the lane
 
 
 def test_a_real_drive_replayed_as_an_ld06(hokuyo_mm: np.ndarray) -> None:

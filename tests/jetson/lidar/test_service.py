@@ -123,17 +123,17 @@ def sensor(tmp_path: Path) -> Iterator[FakeSensor]:
 
 
 def test_simulated_world(zenoh_config: ZenohConfig) -> None:
-    with lidar(zenoh_config, "sim:crossing?t0=4.0") as (heard, process):
-        heard.wait(lambda: any(zones.level == "IMMINENT" for zones in heard.zones))
-        heard.wait(heard.says("online"))
+    with lidar(zenoh_config, "sim:crossing?t0=4.0") as (listener, process):
+        listener.wait(lambda: any(zones.level == "IMMINENT" for zones in listener.zones))
+        listener.wait(listener.says("online"))
         process.terminate()
         assert process.wait(5) == 0
-    levels = [zones.level for zones in heard.zones]
+    levels = [zones.level for zones in listener.zones]
     assert levels.index("CAUTION") < levels.index("IMMINENT")
-    assert heard.zones[-1].scan_hz > 0.0
-    assert heard.scans[-1].used is not None
-    assert len(heard.scans[-1].angles_rad) == len(heard.scans[-1].used) == 450
-    assert heard.zones[-1].stage_ms["zones"] > 0.0
+    assert listener.zones[-1].scan_hz > 0.0
+    assert listener.scans[-1].used is not None
+    assert len(listener.scans[-1].angles_rad) == len(listener.scans[-1].used) == 450
+    assert listener.zones[-1].stage_ms["zones"] > 0.0
 
 
 def test_real_turns_as_recorded_bytes(
@@ -146,49 +146,51 @@ def test_real_turns_as_recorded_bytes(
 
     recording = tmp_path / "room.ld06"
     recording.write_bytes(stream_of(ranges_at, turns=8))
-    with lidar(zenoh_config, f"file:{recording}?rate=2") as (heard, process):
+    with lidar(zenoh_config, f"file:{recording}?rate=2") as (listener, process):
         assert process.wait(BUDGET_S) == 0  # a file ends, and the service with it
-    assert len(heard.zones) >= 6
-    assert {zones.state for zones in heard.zones} == {"online"}
+    assert len(listener.zones) >= 6
+    assert {zones.state for zones in listener.zones} == {"online"}
     degrees = np.arange(-20, 21)
     ahead_m = turn[degrees % 360] * np.cos(np.radians(degrees))
     in_centre = np.abs(turn[degrees % 360] * np.sin(np.radians(degrees))) <= 0.1255
-    assert heard.zones[-1].centre.nearest_m == pytest.approx(ahead_m[in_centre].min(), abs=0.01)
-    assert heard.zones[-1].level == "IMMINENT"  # 0.79 m
+    assert listener.zones[-1].centre.nearest_m == pytest.approx(ahead_m[in_centre].min(), abs=0.01)
+    assert listener.zones[-1].level == "IMMINENT"  # 0.79 m
 
 
 @pytest.mark.slow
 def test_serial_port_comes_late_stumbles_and_comes_back(zenoh_config: ZenohConfig, sensor: FakeSensor) -> None:
-    with lidar(zenoh_config, f"serial:{sensor._path}") as (heard, _):
-        heard.wait(heard.says("disconnected", "does not exist yet"))
+    with lidar(zenoh_config, f"serial:{sensor._path}") as (listener, _):
+        listener.wait(listener.says("disconnected", "does not exist yet"))
 
         sensor.plug()
         plugged_s = time.monotonic()
-        heard.wait(heard.says("online"))
+        listener.wait(listener.says("online"))
         assert time.monotonic() - plugged_s < BACK_S
-        heard.wait(lambda: len(heard.zones) > 5)
+        listener.wait(lambda: len(listener.zones) > 5)
 
         sensor.spoil = lambda data: bytes(byte ^ 0x40 if n == 60 else byte for n, byte in enumerate(data))
-        heard.wait(lambda: heard.status[-1].counters.get("crc", 0) + heard.status[-1].counters.get("lost_packets", 0))
-        assert heard.status[-1].state == "online"
+        listener.wait(
+            lambda: listener.status[-1].counters.get("crc", 0) + listener.status[-1].counters.get("lost_packets", 0)
+        )
+        assert listener.status[-1].state == "online"
 
         sensor.spoil = lambda data: bytes(byte ^ 0xFF for byte in data)
-        heard.wait(heard.says("disconnected", "no LD06 packet"))
+        listener.wait(listener.says("disconnected", "no LD06 packet"))
         sensor.spoil = lambda data: b""
-        heard.wait(heard.says("disconnected", "silent"))
+        listener.wait(listener.says("disconnected", "silent"))
         sensor.spoil = lambda data: data
-        heard.wait(heard.says("online"))
+        listener.wait(listener.says("online"))
 
         sensor.unplug()
-        heard.wait(heard.says("disconnected", "gone: unplugged?"))
-        count = len(heard.zones)
+        listener.wait(listener.says("disconnected", "gone: unplugged?"))
+        count = len(listener.zones)
         sensor.plug()
-        heard.wait(lambda: len(heard.zones) > count, BACK_S)
-        heard.wait(heard.says("online"))
-        heard.wait(lambda: len(heard.zones) > count + 3)
-        assert heard.zones[count].state == "degraded"
-        assert "looking again" in heard.zones[count].reason
-        assert heard.zones[-1].state == "online"
+        listener.wait(lambda: len(listener.zones) > count, BACK_S)
+        listener.wait(listener.says("online"))
+        listener.wait(lambda: len(listener.zones) > count + 3)
+        assert listener.zones[count].state == "degraded"
+        assert "looking again" in listener.zones[count].reason
+        assert listener.zones[-1].state == "online"
 
 
 def spinning(turns_hz: Callable[[float], float], seconds: float) -> Callable[[float, float], bytes]:
@@ -207,26 +209,26 @@ def spinning(turns_hz: Callable[[float], float], seconds: float) -> Callable[[fl
 def test_a_motor_that_spins_up_from_standstill_and_stalls(zenoh_config: ZenohConfig, sensor: FakeSensor) -> None:
     """0 turns a second for 3 s, 10 after 5 s, standstill again after 8 s: degraded, online, degraded, each in words."""
     sensor.says = spinning(lambda t: float(np.interp(t, [0, 3, 5, 8, 8.2], [0, 0, 10, 10, 0])), 60.0)
-    with lidar(zenoh_config, f"serial:{sensor._path}") as (heard, _):
-        heard.wait(heard.says("disconnected", "does not exist yet"))
+    with lidar(zenoh_config, f"serial:{sensor._path}") as (listener, _):
+        listener.wait(listener.says("disconnected", "does not exist yet"))
         sensor.plug()
-        heard.wait(heard.says("degraded", "motor slow or stalled"))
-        heard.wait(heard.says("online"))
-        assert heard.zones[-1].centre.nearest_m == pytest.approx(1.9, abs=0.15)  # counted from the bumper
-        heard.wait(heard.says("degraded", "motor slow or stalled"))
-        assert heard.status[-1].bad_input == 0
+        listener.wait(listener.says("degraded", "motor slow or stalled"))
+        listener.wait(listener.says("online"))
+        assert listener.zones[-1].centre.nearest_m == pytest.approx(1.9, abs=0.15)  # counted from the bumper
+        listener.wait(listener.says("degraded", "motor slow or stalled"))
+        assert listener.status[-1].bad_input == 0
 
 
 @pytest.mark.slow
 def test_a_line_at_half_the_pace_still_gives_zones(zenoh_config: ZenohConfig, sensor: FakeSensor) -> None:
     """The sensor's clock runs away from ours; it is laid anew and counted, and nothing is called lost."""
-    with lidar(zenoh_config, f"serial:{sensor._path}") as (heard, _):
-        heard.wait(heard.says("disconnected", "does not exist yet"))
+    with lidar(zenoh_config, f"serial:{sensor._path}") as (listener, _):
+        listener.wait(listener.says("disconnected", "does not exist yet"))
         sensor.plug(speed=0.5)
-        heard.wait(lambda: len(heard.zones) > 15)
-        heard.wait(lambda: heard.status[-1].counters.get("clock_restarts"))
-        assert heard.status[-1].state == "online"
-        assert heard.status[-1].bad_input == 0
+        listener.wait(lambda: len(listener.zones) > 15)
+        listener.wait(lambda: listener.status[-1].counters.get("clock_restarts"))
+        assert listener.status[-1].state == "online"
+        assert listener.status[-1].bad_input == 0
 
 
 @pytest.mark.slow
@@ -235,14 +237,14 @@ def test_each_way_of_not_opening_has_its_own_words(
 ) -> None:
     plain_file = tmp_path / "notes.txt"
     plain_file.write_text("not a port")
-    with lidar(zenoh_config, f"serial:{plain_file}") as (heard, _):
-        heard.wait(heard.says("disconnected", "no serial port"))
+    with lidar(zenoh_config, f"serial:{plain_file}") as (listener, _):
+        listener.wait(listener.says("disconnected", "no serial port"))
 
     sensor.plug()
     with lidar(zenoh_config, f"serial:{sensor._path}") as (first, _):
         first.wait(first.says("online"))
-        with lidar(zenoh_config, f"serial:{sensor._path}") as (heard, _):
-            heard.wait(heard.says("disconnected", "in use by another process"))
+        with lidar(zenoh_config, f"serial:{sensor._path}") as (second, _):
+            second.wait(second.says("disconnected", "in use by another process"))
 
 
 @pytest.mark.slow
@@ -254,5 +256,5 @@ def test_wrong_permissions_have_their_own_words(zenoh_config: ZenohConfig, tmp_p
         if shutil.which("setpriv") is None:
             pytest.skip("running as root, and setpriv (util-linux) is not here to give up the right to read everything")
         as_user = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"]
-    with lidar(zenoh_config, f"serial:{port}", as_user) as (heard, _):
-        heard.wait(heard.says("disconnected", "permission denied"))
+    with lidar(zenoh_config, f"serial:{port}", as_user) as (listener, _):
+        listener.wait(listener.says("disconnected", "permission denied"))

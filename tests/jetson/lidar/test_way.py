@@ -34,8 +34,8 @@ def approach(scan_of: ScanOf, speed_mps: float, begin_m: float, count: int) -> l
 @pytest.mark.parametrize("motion", [None, Motion(0.0), Motion(0.09), Motion(-1.0)])
 def test_standing_reversing_or_unknown_is_as_ever(scan_of: ScanOf, motion: Motion | None) -> None:
     scans = approach(scan_of, 1.0, 2.5, 12)
-    told, plain = watched(scans, motion), watched(scans, None)
-    assert [(m.level, m.centre, m.left, m.right, m.layout) for m in told] == [
+    messages, plain = watched(scans, motion), watched(scans, None)
+    assert [(m.level, m.centre, m.left, m.right, m.layout) for m in messages] == [
         (m.level, m.centre, m.left, m.right, m.layout) for m in plain
     ]
 
@@ -53,9 +53,9 @@ def test_a_board_ahead_raises_caution_first_and_in_time(
     scan_of: ScanOf, speed_mps: float, caution_m: float, imminent_m: float
 ) -> None:
     begin_m = 9.0
-    told = watched(approach(scan_of, speed_mps, begin_m, int(8.5 / speed_mps / SCAN_S)), Motion(speed_mps))
+    messages = watched(approach(scan_of, speed_mps, begin_m, int(8.5 / speed_mps / SCAN_S)), Motion(speed_mps))
     first = {
-        level: begin_m - speed_mps * SCAN_S * next(k for k, m in enumerate(told) if m.level == level)
+        level: begin_m - speed_mps * SCAN_S * next(k for k, m in enumerate(messages) if m.level == level)
         for level in ("CAUTION", "IMMINENT")
     }
     assert first["CAUTION"] >= caution_m
@@ -63,10 +63,10 @@ def test_a_board_ahead_raises_caution_first_and_in_time(
 
 
 def test_the_agreed_distance_does_not_lag_behind_the_vehicle(scan_of: ScanOf) -> None:
-    told = watched(approach(scan_of, 2.0, 5.0, 20), Motion(2.0))
+    messages = watched(approach(scan_of, 2.0, 5.0, 20), Motion(2.0))
     for k in range(4, 20):
         half_turn_m = 2.0 * SCAN_S / 2  # what lies ahead was measured in the middle of this scan
-        assert told[k].centre.nearest_m == pytest.approx(5.0 - 0.2 * k - half_turn_m, abs=0.03)
+        assert messages[k].centre.nearest_m == pytest.approx(5.0 - 0.2 * k - half_turn_m, abs=0.03)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -114,8 +114,8 @@ def test_an_obstacle_that_is_pushed_along_stays_imminent(scan_of: ScanOf) -> Non
     """At the bumper it is nearer than the sensor measures: that is no reason to call the way free."""
     coming = approach(scan_of, 1.0, 1.5, 14)
     pushed = [scan_of([(0.1, -0.2, 0.2)], background_m=11.0, number=14 + k) for k in range(60)]
-    told = watched([*coming, *pushed], Motion(1.0))
-    assert {message.level for message in told[12:]} == {"IMMINENT"}
+    messages = watched([*coming, *pushed], Motion(1.0))
+    assert {message.level for message in messages[12:]} == {"IMMINENT"}
 
 
 def test_the_cover_ends_at_what_is_seen_and_where_the_lens_is_covered(scan_of: ScanOf) -> None:

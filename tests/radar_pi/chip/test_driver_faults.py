@@ -169,9 +169,9 @@ def test_a_wrong_chip_is_reported_and_never_read(chip, clock, report, wire_class
     clock.at(30.0, lambda: chip.heal("wrong_chip"))
     clock.at(29.0, lambda: wire.log.append(report.snapshot().reason))
     next(frames)
-    told = next(entry for entry in wire.log if "expected" in entry)
-    assert "found 0x000606" in told
-    assert "ffc00000" not in wire.log[: wire.log.index(told)]
+    reason = next(entry for entry in wire.log if "expected" in entry)
+    assert "found 0x000606" in reason
+    assert "ffc00000" not in wire.log[: wire.log.index(reason)]
     frames.close()
 
 

@@ -19,13 +19,13 @@ GATE_FRAMES, MISSES = TRACKING.approach_frames, TRACKING.delete_misses
 def levels(path: list[tuple[float, float] | None]) -> list[Level]:
     """The worst level of every frame for a body that is at (range, velocity), or not there."""
     tracker = Tracker(TRACKING, DetectionConfig(), v_max_mps=5.15)
-    told: list[Level] = []
+    reported: list[Level] = []
     for i, body in enumerate(path):
         stamp_ns = i * PERIOD_NS
         tracks = tracker.update(stamp_ns, [] if body is None else [Detection(*body, 0.0, 30.0)])
         times = [(track, time_to_collision_s(track, TRACKING)) for track in tracks]
-        told.append(worst(*(alarm_level(track, ttc_s, ALARM, TRACKING.moving_mps) for track, ttc_s in times)))
-    return told
+        reported.append(worst(*(alarm_level(track, ttc_s, ALARM, TRACKING.moving_mps) for track, ttc_s in times)))
+    return reported
 
 
 def approach_to(range_m: float, speed_mps: float) -> list[tuple[float, float] | None]:
@@ -37,18 +37,18 @@ def approach_to(range_m: float, speed_mps: float) -> list[tuple[float, float] | 
 def test_a_body_that_is_gone_is_let_go_with_its_third_miss(range_m: float, speed_mps: float) -> None:
     """It may have been lost at arm's length: the coasting track keeps its level, and no frame longer."""
     coming = approach_to(range_m, speed_mps)
-    told = levels([*coming, *[None] * 10])
-    assert told[len(coming) - 1] == "IMMINENT"
-    assert told[len(coming) :] == ["IMMINENT"] * (MISSES - 1) + ["SAFE"] * (10 - MISSES + 1)
+    reported = levels([*coming, *[None] * 10])
+    assert reported[len(coming) - 1] == "IMMINENT"
+    assert reported[len(coming) :] == ["IMMINENT"] * (MISSES - 1) + ["SAFE"] * (10 - MISSES + 1)
 
 
 @pytest.mark.parametrize(("range_m", "speed_mps"), [(0.7, 0.7), (1.0, 1.4), (2.0, 2.4)])
 def test_a_body_that_turns_round_is_let_go_when_the_gate_shuts(range_m: float, speed_mps: float) -> None:
     coming = approach_to(range_m, speed_mps)
     going = [(range_m + i * 0.1 * speed_mps, speed_mps) for i in range(1, 11)]
-    told = levels([*coming, *going])
-    assert told[len(coming) - 1] == "IMMINENT"
-    assert set(told[len(coming) + GATE_FRAMES :]) == {"SAFE"}
+    reported = levels([*coming, *going])
+    assert reported[len(coming) - 1] == "IMMINENT"
+    assert set(reported[len(coming) + GATE_FRAMES :]) == {"SAFE"}
 
 
 def test_a_body_that_stops_very_close_stays_caution() -> None:
@@ -60,9 +60,9 @@ def test_a_body_that_stops_very_close_stays_caution() -> None:
 
 def test_a_body_that_stops_farther_away_is_let_go_when_the_gate_shuts() -> None:
     coming = approach_to(0.9, 1.0)
-    told = levels([*coming, *[(0.9, 0.0)] * 20])
-    assert told[len(coming) - 1] == "IMMINENT"
-    assert set(told[len(coming) + GATE_FRAMES :]) == {"SAFE"}
+    reported = levels([*coming, *[(0.9, 0.0)] * 20])
+    assert reported[len(coming) - 1] == "IMMINENT"
+    assert set(reported[len(coming) + GATE_FRAMES :]) == {"SAFE"}
 
 
 def test_a_body_that_passes_is_let_go() -> None:
@@ -70,7 +70,7 @@ def test_a_body_that_passes_is_let_go() -> None:
     s = np.arange(-3.0, 3.0, 0.14)
     range_m = np.hypot(s, 0.5)
     path: list[tuple[float, float] | None] = [(float(r), float(1.4 * x / r)) for x, r in zip(s, range_m, strict=True)]
-    told = levels(path)
-    last = max(i for i, level in enumerate(told) if level == "IMMINENT")
+    reported = levels(path)
+    last = max(i for i, level in enumerate(reported) if level == "IMMINENT")
     assert s[last] <= 0.14 * GATE_FRAMES
-    assert set(told[last + 1 + GATE_FRAMES :]) == {"SAFE"}
+    assert set(reported[last + 1 + GATE_FRAMES :]) == {"SAFE"}

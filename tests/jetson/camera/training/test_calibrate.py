@@ -182,7 +182,7 @@ def test_a_board_smaller_than_can_be_found_is_refused(tmp_path: Path, columns: s
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["--box", "hello"], "expected TOP,BOTTOM"),
         (["--model", str(DEMO_MODEL)], "no person found"),
@@ -190,8 +190,8 @@ def test_a_board_smaller_than_can_be_found_is_refused(tmp_path: Path, columns: s
         (["--box", "10,12"], "a field of view of"),
     ],
 )
-def test_what_cannot_be_calibrated_is_said(tmp_path: Path, arguments: list[str], told: str) -> None:
+def test_what_cannot_be_calibrated_is_said(tmp_path: Path, arguments: list[str], message: str) -> None:
     common = ["calibrate", "object", grey_picture(tmp_path), "--height-m", "1.7", "--distance-m", "3"]
     result = CliRunner().invoke(app, [*common, *arguments, "--out", str(tmp_path / "out.toml")])
     assert result.exit_code != 0
-    assert told in " ".join(result.output.replace("│", " ").split())
+    assert message in " ".join(result.output.replace("│", " ").split())
