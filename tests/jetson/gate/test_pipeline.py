@@ -147,8 +147,8 @@ def test_while_driving_the_limit_is_what_fusion_calls_safe(
     way = WayAhead(motion=motion, curvature_per_m=0.0, left_m=0.1, right_m=0.1, stopping_m=1.0)
     drive = Drive().going()
     for permission, limit_mps in zip(("GO", "SLOW"), limits_mps, strict=True):
-        told = msgspec.structs.replace(verdict(permission), way=way, max_safe_speed_mps=safe_mps)
-        assert drive.round(inputs(verdict=told)).limit_mps == limit_mps
+        changed = msgspec.structs.replace(verdict(permission), way=way, max_safe_speed_mps=safe_mps)
+        assert drive.round(inputs(verdict=changed)).limit_mps == limit_mps
 
 
 @pytest.mark.parametrize(
@@ -189,8 +189,8 @@ def test_a_verdict_at_the_very_limit_of_its_age_is_in_time(age_s: float) -> None
 
 @pytest.mark.parametrize(("kind", "words"), [("unknown", "data of unknown origin"), ("simulated", "simulated data")])
 def test_what_a_refused_verdict_rests_on_is_named(kind: Any, words: str) -> None:
-    told = msgspec.structs.replace(verdict(), source_kind=kind)
-    assert Drive().going().round(inputs(verdict=told)).because == f"the verdict rests on {words}; accepted: live"
+    changed = msgspec.structs.replace(verdict(), source_kind=kind)
+    assert Drive().going().round(inputs(verdict=changed)).because == f"the verdict rests on {words}; accepted: live"
 
 
 def test_every_stop_permits_nothing() -> None:
