@@ -182,12 +182,12 @@ class Yard:
         self.site, self.keys = site, keys
         self.routers = {host: zenoh.open(build(router_config(site, host, keys))) for host in site.hosts}
         self.clients = {host: self.client(host) for host in site.hosts}
-        self.heard: list[tuple[str, bytes]] = []
+        self.received: list[tuple[str, bytes]] = []
         self.tokens: set[str] = set()
         listener = self.client("jetson0")
         self._kept = [
             listener,
-            listener.declare_subscriber("**", lambda s: self.heard.append((str(s.key_expr), s.payload.to_bytes()))),
+            listener.declare_subscriber("**", lambda s: self.received.append((str(s.key_expr), s.payload.to_bytes()))),
             listener.liveliness().declare_subscriber("**", lambda s: self.tokens.add(str(s.key_expr)), history=True),
         ]
 
@@ -210,13 +210,13 @@ class Yard:
 
             def came_through(host: str = host, key: str = key, mark: bytes = mark) -> bool:
                 self.clients[host].put(key, mark)
-                return (key, mark) in self.heard
+                return (key, mark) in self.received
 
             _until(came_through)
 
     def hears(self, payload: bytes) -> bool:
         self.settle()
-        return any(heard == payload for _, heard in self.heard)
+        return any(content == payload for _, content in self.received)
 
     def close(self) -> None:
         for session in (self._kept[0], *self.clients.values(), *self.routers.values()):

@@ -31,7 +31,7 @@ def test_there_is_a_look_on_every_page() -> None:
 @pytest.mark.parametrize(("page", "command", "said"), SHOWN)
 def test_a_look_says_what_the_page_shows(page: str, command: str, said: str) -> None:
     program, *words = shlex.split(command)
-    told = subprocess.run(
+    completed = subprocess.run(
         [str(Path(sys.executable).with_name(program)), *words], capture_output=True, text=True, timeout=120, check=False
     )
-    assert plain(told.stdout) == plain(said), page
+    assert plain(completed.stdout) == plain(said), page

@@ -107,9 +107,9 @@ def test_each_command_is_in_the_rules_of_its_host_once(yard: Any) -> None:
         assert (key in spoken_keys(yard.site, host)) == command.from_afar
         assert (key in own_commands(yard.site, host)) == (not command.from_afar)
         assert any(q.endswith(f"/{command.service}/{command.name}") for q in questions(yard.site)) == command.from_afar
-    told = [
+    egress_rules = [
         rule
         for rule in access_rules(yard.site, "infra0", read_names(yard.keys))["rules"]
         if rule["flows"] == ["egress"]
     ]
-    assert not [rule["id"] for rule in told if f"spotter/{OWN}" in rule["key_exprs"]]
+    assert not [rule["id"] for rule in egress_rules if f"spotter/{OWN}" in rule["key_exprs"]]

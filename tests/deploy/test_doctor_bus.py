@@ -163,12 +163,12 @@ def test_a_schema_that_does_not_match(open_site: Site, client: zenoh.Session, pa
 
 
 @pytest.mark.parametrize(
-    ("offset_s", "told"),
+    ("offset_s", "message"),
     [(5.0, "+"), (-56 * 365.25 * 86400.0, "clock of pi0 is 56 years behind")],
     ids=["five seconds", "1970"],
 )
 def test_a_clock_that_is_off(
-    open_site: Site, client: zenoh.Session, router_endpoint: str, offset_s: float, told: str
+    open_site: Site, client: zenoh.Session, router_endpoint: str, offset_s: float, message: str
 ) -> None:
     def by_that_clock(query: zenoh.Query) -> bytes:
         then_ns = time.time_ns() + int(offset_s * 1e9)
@@ -182,7 +182,7 @@ def test_a_clock_that_is_off(
     )  # fmt: skip
     also = answering(client, "pi0/radar/info", lambda query: encode(info))
     (found,) = [one for one in check_bus(open_site, "pi0") if one.check == "clock pi0/radar"]
-    assert (found.grade, found.what.startswith(told)) == ("broken", True), found
+    assert (found.grade, found.what.startswith(message)) == ("broken", True), found
     kept.undeclare()
     also.undeclare()
 
@@ -237,8 +237,8 @@ def test_the_command_knows_a_laptop_by_its_name(inhabited: SimpleNamespace, tmp_
     (tmp_path / "site.toml").write_text("\n".join(lines))
 
     def says(name: str) -> tuple[int, dict[str, dict[str, str]]]:
-        told = CliRunner().invoke(app, ["doctor", name, "--site", str(tmp_path / "site.toml"), "--json"])
-        return told.exit_code, {row["check"]: row for row in map(json.loads, told.output.splitlines())}
+        result = CliRunner().invoke(app, ["doctor", name, "--site", str(tmp_path / "site.toml"), "--json"])
+        return result.exit_code, {row["check"]: row for row in map(json.loads, result.output.splitlines())}
 
     _, found = says("laptop1")
     assert found["enter pi0"]["grade"] == found["hear pi0/radar"]["grade"] == "ok"

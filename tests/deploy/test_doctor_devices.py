@@ -203,8 +203,8 @@ def test_the_field_site_whose_paths_and_model_were_passed(tmp_path: Path, free_p
         source = "v4l2:{tmp_path}/video0"
         set = ["detector.model=/nonexistent/yolov8n.onnx"]
     """)
-    told = CliRunner().invoke(app, ["doctor", "jetson0", "--site", str(site), "--json"])
-    found = {row["check"]: row for row in map(json.loads, told.stdout.splitlines())}
+    result = CliRunner().invoke(app, ["doctor", "jetson0", "--site", str(site), "--json"])
+    found = {row["check"]: row for row in map(json.loads, result.stdout.splitlines())}
     assert found["camera device"]["what"] == f"{tmp_path}/video0 is not there"
     assert found["camera model"]["what"] == "/nonexistent/yolov8n.onnx is not there"
     assert found["lidar device"]["grade"] == "broken"

@@ -57,13 +57,13 @@ def test_a_laptop_s_recorder_is_heard_wherever_it_connects(
     yard: Any, laptop: Callable[..., zenoh.Session], until: Callable[..., None], host: str
 ) -> None:
     """On the vehicle, and by other laptops."""
-    session, listener, heard = laptop(host), laptop("infra0"), []
-    listener.declare_subscriber(OWN, heard.append)
+    session, listener, samples = laptop(host), laptop("infra0"), []
+    listener.declare_subscriber(OWN, samples.append)
     word = b"recording at " + host.encode()
 
     def is_heard() -> bool:
         session.put(OWN, word)
-        return (OWN, word) in yard.heard and word in [sample.payload.to_bytes() for sample in heard]
+        return (OWN, word) in yard.received and word in [sample.payload.to_bytes() for sample in samples]
 
     until(is_heard)
 
@@ -92,8 +92,8 @@ def test_its_flood_is_let_in_at_its_pace(yard: Any, laptop: Callable[..., zenoh.
     for _ in range(20_000):
         session.put(OWN, b"flood", priority=zenoh.Priority.REAL_TIME)
     yard.settle()
-    heard = [payload for _, payload in yard.heard].count(b"flood")
-    assert heard <= WORD_HZ * (time.monotonic() - begun_s) + 1
+    count = [payload for _, payload in yard.received].count(b"flood")
+    assert count <= WORD_HZ * (time.monotonic() - begun_s) + 1
 
 
 def test_its_words_are_short(yard: Any, laptop: Callable[..., zenoh.Session], until: Callable[..., None]) -> None:
@@ -101,7 +101,7 @@ def test_its_words_are_short(yard: Any, laptop: Callable[..., zenoh.Session], un
     for size in (WORD_BYTES + 1, 5_000_000):
         session.put(OWN, b"x" * size)
     yard.settle()
-    assert not any(key == OWN and len(payload) > WORD_BYTES for key, payload in yard.heard)
+    assert not any(key == OWN and len(payload) > WORD_BYTES for key, payload in yard.received)
 
 
 def test_a_revoked_laptop_says_nothing(yard: Any) -> None:

@@ -58,8 +58,8 @@ def test_a_setup_interrupted_at_several_moments_is_completed_by_the_next(clone: 
     interrupt_when(clone, lambda: (clone / ".venv" / ".installing").exists())
     assert not (clone / ".venv" / ".ready").exists()
     assert setup(clone).wait(240) == 0
-    told = subprocess.run([clone / ".venv/bin/spotter", "--help"], capture_output=True, text=True, check=True)
-    assert "Perception over Zenoh" in told.stdout
+    completed = subprocess.run([clone / ".venv/bin/spotter", "--help"], capture_output=True, text=True, check=True)
+    assert "Perception over Zenoh" in completed.stdout
 
 
 def test_ctrl_c_ends_it_also_between_two_steps(clone: Path, tmp_path: Path) -> None:
@@ -93,9 +93,9 @@ def test_without_a_network_the_first_setup_says_so(clone: Path, tmp_path: Path) 
     fresh = tmp_path / "clone"
     shutil.copytree(clone, fresh, ignore=shutil.ignore_patterns(".venv"))
     nowhere = {"PIP_CONFIG_FILE": "/dev/null", "PIP_INDEX_URL": "http://127.0.0.1:9/simple", "PIP_RETRIES": "0"}
-    told = refused(fresh, **nowhere)
-    assert "the package index cannot be reached; the first setup needs a network" in told
-    assert "WARNING" not in told  # pip's own words are in the log
+    stderr = refused(fresh, **nowhere)
+    assert "the package index cannot be reached; the first setup needs a network" in stderr
+    assert "WARNING" not in stderr  # pip's own words are in the log
 
 
 @pytest.mark.skipif(shutil.which("unshare") is None or os.geteuid() != 0, reason="needs root and unshare")

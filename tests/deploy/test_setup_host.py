@@ -111,9 +111,9 @@ def test_a_port_whose_service_runs_is_left_alone(
 def test_setup_without_a_sensor_says_so_and_writes_the_rest(tmp_path: Path) -> None:
     file, dev = tmp_path / "site.toml", tmp_path / "dev"
     dev.mkdir()
-    told = runner.invoke(app, ["setup", "pi0", "--yes", "--dev", str(dev), "--site", str(file), "--json"])
-    assert told.exit_code == 1
-    assert json.loads(told.stdout.splitlines()[-1]) == {
+    result = runner.invoke(app, ["setup", "pi0", "--yes", "--dev", str(dev), "--site", str(file), "--json"])
+    assert result.exit_code == 1
+    assert json.loads(result.stdout.splitlines()[-1]) == {
         "file": str(file),
         "sources": {"radar": ""},
         "missing": ["radar"],

@@ -80,7 +80,7 @@ def test_fusion_and_dashboard_are_told_where_the_others_run() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reason"),
     [
         ("[host.pi0]\n", "did you mean 'hosts'"),
         ("[hosts.pi0]\nadress = '1.2.3.4'\n", "did you mean 'address'"),
@@ -107,10 +107,10 @@ def test_fusion_and_dashboard_are_told_where_the_others_run() -> None:
         "tls",
     ],
 )
-def test_a_wrong_file_is_refused_with_the_reason(tmp_path: Path, text: str, told: str) -> None:
+def test_a_wrong_file_is_refused_with_the_reason(tmp_path: Path, text: str, reason: str) -> None:
     with pytest.raises(ConfigError, match=r".") as refused:
         load_site(written(tmp_path, text))
-    assert told in str(refused.value)
+    assert reason in str(refused.value)
 
 
 def test_two_computers_may_use_the_same_ports(tmp_path: Path) -> None:

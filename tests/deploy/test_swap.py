@@ -53,7 +53,7 @@ def verdict_on(candidate: list[Received]) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("candidate", "told"),
+    ("candidate", "expected"),
     [
         (stream(start_s=1000.03), ""),
         ([], "it published nothing"),
@@ -65,9 +65,9 @@ def verdict_on(candidate: list[Received]) -> list[str]:
     ],
     ids=["as good", "silent", "slow", "late", "another time", "blind", "degraded"],
 )
-def test_a_worse_candidate_is_refused_with_the_reason(candidate: list[Received], told: str) -> None:
+def test_a_worse_candidate_is_refused_with_the_reason(candidate: list[Received], expected: str) -> None:
     reasons = verdict_on(candidate)
-    assert (not reasons) if not told else any(told in reason for reason in reasons), reasons
+    assert (not reasons) if not expected else any(expected in reason for reason in reasons), reasons
 
 
 def test_a_candidate_that_warns_less_is_refused_and_one_that_warns_more_is_not() -> None:
@@ -151,8 +151,8 @@ def test_what_was_so_before_is_no_fault_of_the_switchover() -> None:
 
 def numbered(*numbers: int) -> list[Received]:
     said = [radar(1000.0 + 0.05 * i) for i in range(len(numbers))]
-    for heard, seq in zip(said, numbers, strict=True):
-        heard.message.seq = seq
+    for received, seq in zip(said, numbers, strict=True):
+        received.message.seq = seq
     return said
 
 
@@ -169,7 +169,7 @@ def numbered(*numbers: int) -> list[Received]:
 )
 def test_who_spoke_is_known_by_whose_numbers_go_on(live: tuple[int, ...], by_new: list[int]) -> None:
     old, new = by_sender(numbered(*live), last_old=500, last_new=30)
-    assert [heard.message.seq for heard in new] == by_new
+    assert [received.message.seq for received in new] == by_new
     assert lost(new) == sum(b - a - 1 for a, b in pairwise(by_new))
     assert len(old) + len(new) == len(live)
 
@@ -212,8 +212,8 @@ def test_another_program_that_has_the_number_of_a_service_elsewhere_is_left_alon
 
 def switchover(predecessor: Predecessor, tmp_path: Path) -> Switchover:
     """A candidate that has just been promoted, as ``Switchover`` sees it."""
-    heard = stream(5)
-    tap = SimpleNamespace(since=lambda _: heard, wait=lambda *_: True)
+    received = stream(5)
+    tap = SimpleNamespace(since=lambda _: received, wait=lambda *_: True)
     presence = SimpleNamespace(instances=lambda: {("pi0", "radar", "new-after-old")})
     taps: Any = SimpleNamespace(
         live=tap, shadow=tap, verdicts=tap, health=tap, presence=presence, wait_instances=lambda *_: True,
@@ -224,7 +224,7 @@ def switchover(predecessor: Predecessor, tmp_path: Path) -> Switchover:
         promote=lambda: None, stop=lambda: None, ended=lambda: "it ended with code 1", live=None, pid=1
     )
     old: Any = SimpleNamespace(instance="old")
-    return Switchover(order, taps, old, predecessor, candidate, compare(RADAR_TRACKS, 5.0, heard, heard), print)
+    return Switchover(order, taps, old, predecessor, candidate, compare(RADAR_TRACKS, 5.0, received, received), print)
 
 
 @pytest.mark.parametrize("stop", ["false", "/no/such/systemctl stop spotter-radar"])

@@ -116,9 +116,9 @@ def test_what_a_unit_cannot_see_is_told_before_it_fails_to_start(tmp_path: Path)
     assert hidden(*seen, *unseen) == unseen
     site = tmp_path / "site.toml"  # below /tmp
     site.write_text("[hosts.pi0.services.radar]\n")
-    told = CliRunner().invoke(app, ["install", "pi0", "--site", str(site), "--dry-run"])
-    assert told.exit_code == 0
-    assert f"no unit can see {site}" in told.stderr.replace(f"{sys.prefix}/bin/spotter, ", "")
+    result = CliRunner().invoke(app, ["install", "pi0", "--site", str(site), "--dry-run"])
+    assert result.exit_code == 0
+    assert f"no unit can see {site}" in result.stderr.replace(f"{sys.prefix}/bin/spotter, ", "")
 
 
 def test_install_writes_what_the_dry_run_shows(tmp_path: Path) -> None:
@@ -149,8 +149,8 @@ def test_ready_is_said_once_and_alive_often(systemd: socket.socket) -> None:
     watchdog.ready("online")
     watchdog.ready("degraded why")
     watchdog.alive()
-    told = [systemd.recv(200).decode() for _ in range(3)]
-    assert told == ["READY=1\nSTATUS=online", "STATUS=degraded why", "WATCHDOG=1"]
+    notifications = [systemd.recv(200).decode() for _ in range(3)]
+    assert notifications == ["READY=1\nSTATUS=online", "STATUS=degraded why", "WATCHDOG=1"]
 
 
 def test_without_systemd_nothing_happens(monkeypatch: pytest.MonkeyPatch) -> None:

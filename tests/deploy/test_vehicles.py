@@ -90,7 +90,7 @@ def test_a_vehicle_s_service_at_the_roadside_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("setting", "told"),
+    ("setting", "pattern"),
     [
         ("sensors.lidar.host=jetson0", r"\[sensors\.lidar\] host = 'jetson0'.*vehicle 'car1'.*allowed: pi1, jetson1 "),
         ("ego_host=pi0", r"ego_host = 'pi0'.*allowed: pi1, jetson1 "),
@@ -98,11 +98,11 @@ def test_a_vehicle_s_service_at_the_roadside_is_refused(tmp_path: Path) -> None:
         ("sensors.infra_lidar.host=jetson0", r"host = 'jetson0'.*allowed: pi1, jetson1, infra0 "),
     ],
 )
-def test_a_sensor_of_another_vehicle_is_refused_at_the_start(tmp_path: Path, setting: str, told: str) -> None:
+def test_a_sensor_of_another_vehicle_is_refused_at_the_start(tmp_path: Path, setting: str, pattern: str) -> None:
     text = TWO_VEHICLES.replace(
         "[hosts.jetson1.services.fusion]", f"[hosts.jetson1.services.fusion]\nset=['{setting}']"
     )
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=pattern):
         fusion_of(site_of(tmp_path, text), "jetson1")
 
 

@@ -43,9 +43,9 @@ def test_wrong_settings_are_refused(setting):
     ],
 )
 def test_a_refusal_names_the_key_its_value_and_what_is_allowed(setting, says):
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as raised:
         load(InfraLidarConfig, None, [setting])
-    assert says in str(told.value)
+    assert says in str(raised.value)
 
 
 @pytest.mark.parametrize(
@@ -59,9 +59,9 @@ def test_a_refusal_names_the_key_its_value_and_what_is_allowed(setting, says):
     ],
 )
 def test_a_pose_that_is_no_rotation_and_translation_is_refused(pose):
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as raised:
         load(InfraLidarConfig, None, [f"T_map_sensor={pose}"])
-    assert f"--set: T_map_sensor = {pose}: expected a rotation and a translation: " in str(told.value)
+    assert f"--set: T_map_sensor = {pose}: expected a rotation and a translation: " in str(raised.value)
 
 
 @pytest.mark.parametrize(

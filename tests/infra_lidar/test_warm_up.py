@@ -66,10 +66,10 @@ def test_decoders_are_compiled_for_what_may_come_live(source: str, kinds: set[st
 
 
 def test_a_second_warm_up_loads_what_the_first_has_compiled():
-    told: list[str] = []
-    warm_up(InfraLidarConfig(), told.append)
-    warm_up(InfraLidarConfig(), told.append)
-    assert told[-1] == "loading kernels"
+    messages: list[str] = []
+    warm_up(InfraLidarConfig(), messages.append)
+    warm_up(InfraLidarConfig(), messages.append)
+    assert messages[-1] == "loading kernels"
 
 
 def test_the_second_compiler_ends_by_itself_and_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

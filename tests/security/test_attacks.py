@@ -35,9 +35,9 @@ def refused(config: ZenohConfig) -> bool:
         session = open_session(config, give_up_after_s=1.0)
     except ConnectionError:
         return True
-    told = [reply for reply in session.get("pi0/radar/info", timeout=2.0) if reply.ok is not None]
+    replies = [reply for reply in session.get("pi0/radar/info", timeout=2.0) if reply.ok is not None]
     close_session(session)
-    return not told
+    return not replies
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -80,11 +80,11 @@ def test_an_expired_certificate_is_refused(yard: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["thief", "stranger"])
 def test_a_revoked_or_unknown_name_hears_and_says_nothing(yard: Any, name: str) -> None:
     session = open_session(yard.named(name), give_up_after_s=BUDGET_S)
-    heard: list[zenoh.Sample] = []
+    received: list[zenoh.Sample] = []
     session.put("pi0/radar/tracks", b"from " + name.encode())
-    session.declare_subscriber("**", heard.append)  # after the put: a session hears itself
+    session.declare_subscriber("**", received.append)  # after the put: a session hears itself
     assert not yard.hears(b"from " + name.encode())
-    assert not heard
+    assert not received
     assert not list(session.liveliness().get("**", timeout=0.5))
     close_session(session)
 
@@ -147,7 +147,7 @@ def test_a_flood_from_a_laptop_does_not_delay_the_tracks(yard: Any) -> None:
     for _ in range(20_000):
         laptop.put("pi0/radar/tracks", b"flood" * 20)
     yard.settle()  # or it fails
-    assert not any(payload.startswith(b"flood") for _, payload in yard.heard)
+    assert not any(payload.startswith(b"flood") for _, payload in yard.received)
     close_session(laptop)
 
 
@@ -179,26 +179,26 @@ def test_a_revocation_restarts_the_router_and_counts_at_once(gate: Any, until: C
     """The laptop hears before and nothing after, while the host itself goes on; nobody touches the process."""
     own = open_session(ZenohConfig(connect=(gate.site.hosts["pi0"].loopback,)), give_up_after_s=BUDGET_S)
     guest = open_session(laptop_config(gate.site, "guest", gate.keys, "pi0"), give_up_after_s=BUDGET_S)
-    heard: dict[str, set[bytes]] = {"own": set(), "guest": set()}
-    own.declare_subscriber("pi0/radar/tracks", lambda sample: heard["own"].add(sample.payload.to_bytes()))
-    guest.declare_subscriber("pi0/radar/tracks", lambda sample: heard["guest"].add(sample.payload.to_bytes()))
+    received: dict[str, set[bytes]] = {"own": set(), "guest": set()}
+    own.declare_subscriber("pi0/radar/tracks", lambda sample: received["own"].add(sample.payload.to_bytes()))
+    guest.declare_subscriber("pi0/radar/tracks", lambda sample: received["guest"].add(sample.payload.to_bytes()))
     speaker = open_session(ZenohConfig(connect=(gate.site.hosts["pi0"].loopback,)), give_up_after_s=BUDGET_S)
 
     def comes_through(word: bytes, *to: str) -> bool:
         speaker.put("pi0/radar/tracks", word)
-        return all(word in heard[one] for one in to)
+        return all(word in received[one] for one in to)
 
     until(lambda: comes_through(b"before", "own", "guest"))
     authority.revoke(gate.keys, "guest")
     assert gate.router.stderr is not None
-    told = next(line for line in gate.router.stderr if "names of the site have changed" in line)
-    assert "starting again" in told
+    notice = next(line for line in gate.router.stderr if "names of the site have changed" in line)
+    assert "starting again" in notice
     assert next(line for line in gate.router.stderr if "listening on" in line)
     until(lambda: comes_through(b"after", "own"))
     for _ in range(50):
         comes_through(b"after")
         list(speaker.get("nobody/answers/this", timeout=0.05))  # a round trip to the router
-    assert b"after" not in heard["guest"]
+    assert b"after" not in received["guest"]
     assert gate.router.poll() is None
     for session in (speaker, guest, own):
         close_session(session)

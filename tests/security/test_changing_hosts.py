@@ -144,12 +144,12 @@ def test_two_computers_of_one_name_are_told_while_the_verdict_goes_on(
         lambda sample: causes.append(decode(sample.payload.to_bytes(), SystemHealth).sensors["radar"].cause),
     )
 
-    def told() -> bool:
+    def reported() -> bool:
         for publish in speak:
             publish(RadarTracks(stamp_ns=time.time_ns(), tracks=[], level="SAFE", settled=True, noise_floor_db=-60.0))
         return "two_claimants" in causes
 
-    until(told)
+    until(reported)
     before = len(verdicts)
     until(lambda: len(verdicts) > before + 20)
 

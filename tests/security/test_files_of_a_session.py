@@ -61,5 +61,5 @@ def test_a_router_does_not_blame_another_one_for_its_certificate(keys: Path, cap
     with pytest.raises(SystemExit) as ended:
         _serve(config, None)
     assert ended.value.code == 2
-    assert "expected a certificate in PEM" in (told := capsys.readouterr().err)
-    assert "another router" not in told
+    assert "expected a certificate in PEM" in (stderr := capsys.readouterr().err)
+    assert "another router" not in stderr

@@ -106,7 +106,7 @@ def test_the_own_certificate_that_has_expired_is_named(folder: Path, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("spoil", "addresses", "cause", "told"),
+    ("spoil", "addresses", "cause", "reason"),
     [
         (expired, ("127.0.0.1",), "certificate", "the certificate of pi0 has expired: issue it again with"),
         (in_a_day, ("127.0.0.1",), "clock", "the certificate of pi0 begins after"),
@@ -121,7 +121,7 @@ def test_their_certificate_is_named(
     spoil: Callable[[pytest.MonkeyPatch], None],
     addresses: tuple[str, ...],
     cause: str,
-    told: str,
+    reason: str,
 ) -> None:
     with monkeypatch.context() as meanwhile:
         spoil(meanwhile)
@@ -130,7 +130,7 @@ def test_their_certificate_is_named(
     fault = link_fault(own(folder), "pi0", "127.0.0.1", site.host("pi0").port)
     close_session(router)
     assert fault is not None
-    assert (fault.cause, fault.why.startswith(told)) == (cause, True), fault
+    assert (fault.cause, fault.why.startswith(reason)) == (cause, True), fault
 
 
 def test_a_stranger_on_the_port_is_not_judged(folder: Path, router_endpoint: str) -> None:

@@ -38,9 +38,9 @@ def let_in(site: Site, host: str, config: ZenohConfig, patience_s: float = 1.0) 
         session = open_session(config, give_up_after_s=patience_s)
     except ConnectionError:
         return False
-    told = [reply for reply in session.get(f"{host}/*/info", timeout=1.0) if reply.ok is not None]
+    replies = [reply for reply in session.get(f"{host}/*/info", timeout=1.0) if reply.ok is not None]
     close_session(session)
-    return bool(told)
+    return bool(replies)
 
 
 def doors(folder: Path, site: Site) -> dict[str, bool]:

@@ -43,8 +43,8 @@ class Story:
 
     def levels(self) -> list[str]:
         """Levels in the order in which they came, after settling, without repetitions."""
-        told = [verdict.level for at_s, verdict in self.verdicts if at_s >= SETTLED_S]
-        return [level for i, level in enumerate(told) if i == 0 or level != told[i - 1]]
+        levels = [verdict.level for at_s, verdict in self.verdicts if at_s >= SETTLED_S]
+        return [level for i, level in enumerate(levels) if i == 0 or level != levels[i - 1]]
 
     def states(self, sensor: str, begin_s: float, end_s: float) -> set[str]:
         return {h[sensor].state for at_s, h in self.health if begin_s <= at_s < end_s}
@@ -100,8 +100,8 @@ def test_crossing_goes_up_and_down_twice_a_turn(crossing: Story) -> None:
     """CAUTION, then IMMINENT, for the person and for the car; an alarm is held until nobody sees it, then SAFE."""
     levels = [level for level in crossing.levels() if level != "CAUTION"]
     assert levels[:8] == [*4 * ["SAFE", "IMMINENT"]]  # the last alarm may be held to the story's end
-    told = crossing.levels()
-    assert all(before == "CAUTION" for before, level in itertools.pairwise(told) if level == "IMMINENT")
+    sequence = crossing.levels()
+    assert all(before == "CAUTION" for before, level in itertools.pairwise(sequence) if level == "IMMINENT")
 
 
 def test_crossing_follows_the_truth(crossing: Story) -> None:
@@ -123,9 +123,9 @@ def test_the_roadside_raises_an_alarm_that_the_page_shows(crossing: Story) -> No
 
 @pytest.mark.parametrize("story", ["crossing", "faults"])
 def test_never_safe_while_it_is_imminent(story: str, request: pytest.FixtureRequest) -> None:
-    told: Story = request.getfixturevalue(story)
+    recorded: Story = request.getfixturevalue(story)
     imminent = true_ranks(story) == LEVELS.index("IMMINENT")
-    for at_s, verdict in told.verdicts:
+    for at_s, verdict in recorded.verdicts:
         before = int(at_s / STEP_S)
         if at_s >= SETTLED_S and verdict.level == "SAFE":
             assert not imminent[before : before + 2].all(), f"{at_s:.2f} s: {verdict.because}"

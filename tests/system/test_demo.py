@@ -73,9 +73,9 @@ def test_a_killed_fusion_means_no_verdict_until_it_is_back(running_demo: Any) ->
     pid = running_demo.pid_of("fusion")
     os.kill(pid, signal.SIGSTOP)  # hold it, so that the gap is ours to measure
     command = [str(Path(sys.executable).with_name("spotter")), "health", "--connect", running_demo.endpoint]
-    told = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
-    assert told.returncode == 1
-    assert "NO VERDICT" in told.stdout
+    completed = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert completed.returncode == 1
+    assert "NO VERDICT" in completed.stdout
     killed_s = time.monotonic()
     os.kill(pid, signal.SIGKILL)
     running_demo.recorder.wait(lambda message: isinstance(message, Verdict), killed_s, 30.0)
@@ -126,12 +126,12 @@ def test_the_demo_keeps_incidents(running_demo: Any) -> None:
 
 def test_doctor_knows_a_demo_from_a_site(running_demo: Any) -> None:
     command = [str(Path(sys.executable).with_name("spotter")), "doctor", "--json", "--connect", running_demo.endpoint]
-    told = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    found = [json.loads(line) for line in told.stdout.splitlines()]
+    completed = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    found = [json.loads(line) for line in completed.stdout.splitlines()]
     assert found[0]["what"] == f"a demo runs at {running_demo.endpoint}; no site is checked"
     assert not [row for row in found if row["grade"] == "broken"]
     assert {row["check"] for row in found} >= {f"hear {row.host}/{row.name}" for row in SERVICES}
-    assert told.returncode == 0
+    assert completed.returncode == 0
 
 
 def test_a_laptop_needs_only_zenoh_and_msgpack(running_demo: Any, tmp_path: Path) -> None:
@@ -150,10 +150,10 @@ for sample in (subscriber := session.declare_subscriber("jetson0/fusion/verdict"
     print(verdict["level"], verdict["because"]); break
 session.close()
 """
-    told = subprocess.run(
+    completed = subprocess.run(
         [environment / "bin" / "python", "-c", script], capture_output=True, text=True, timeout=30, check=True
     )
-    assert told.stdout.split()[0] in {"SAFE", "CAUTION", "IMMINENT"}
+    assert completed.stdout.split()[0] in {"SAFE", "CAUTION", "IMMINENT"}
 
 
 def test_ctrl_c_leaves_no_process_behind(tmp_path: Path, module_ports: Callable[[], int]) -> None:

@@ -81,18 +81,18 @@ def test_a_blackbox_loses_the_incident_says_so_and_keeps_the_next(
             (reply,) = [reply.ok for reply in laptop.get(selector, timeout=5.0) if reply.ok is not None]
             return str(json.loads(reply.payload.to_bytes())["incident"])
 
-        def told() -> tuple[str, str]:
+        def state_and_reason() -> tuple[str, str]:
             now = status()
             return (now.state, now.reason) if now else ("", "")
 
-        until(lambda: told() == ("online", ""))
+        until(lambda: state_and_reason() == ("online", ""))
         file_size_limit(process.pid, 100)
         lost = save()
-        until(lambda: told() == ("degraded", f"{lost} was not kept: {folder}: File too large"))
+        until(lambda: state_and_reason() == ("degraded", f"{lost} was not kept: {folder}: File too large"))
         assert list(folder.glob("*/*")) == []  # nor half of it
         file_size_limit(process.pid, -1)
         kept = save()
-        until(lambda: told() == ("online", ""))
+        until(lambda: state_and_reason() == ("online", ""))
         assert process.poll() is None
         now = status()
         assert now is not None
@@ -149,10 +149,10 @@ def test_a_log_that_takes_no_more_stops_nothing(
 ) -> None:
     names = {"endpoint": zenoh_config.connect[0], "own": f"tcp/127.0.0.1:{free_ports()}"}
     process = start(*(word.format(**names) for word in command), log=Path("/dev/full"))
-    heard = threading.Semaphore(0)
+    arrivals = threading.Semaphore(0)
     with open_session(zenoh_config) as laptop:
         for topic in (topics.LIDAR_ZONES, topics.RADAR_TRACKS):
-            laptop.declare_subscriber(topic.any_host, lambda _: heard.release())
+            laptop.declare_subscriber(topic.any_host, lambda _: arrivals.release())
         for _ in range(10):
-            assert heard.acquire(timeout=40.0)
+            assert arrivals.acquire(timeout=40.0)
     assert process.poll() is None

@@ -203,7 +203,7 @@ def test_one_that_fails_after_its_promotion_is_rolled_back(
     tmp_path: Path,
     until: Callable[..., None],
 ) -> None:
-    heard: list[RadarTracks] = []
+    received: list[RadarTracks] = []
     until(lambda: len(instances(laptop)) == 1)
     before = instances(laptop)
     with swap(router_endpoint, tmp_path / "log", f"{WORSE} mortal") as (process, outcome):
@@ -214,8 +214,10 @@ def test_one_that_fails_after_its_promotion_is_rolled_back(
         until(lambda: len(instances(laptop)) == 1)
         assert not instances(laptop) & before
         assert not any("-after-" in instance for instance in instances(laptop))
-        laptop.declare_subscriber("pi0/radar/tracks", lambda s: heard.append(decode(s.payload.to_bytes(), RadarTracks)))
-        until(lambda: heard)
+        laptop.declare_subscriber(
+            "pi0/radar/tracks", lambda s: received.append(decode(s.payload.to_bytes(), RadarTracks))
+        )
+        until(lambda: received)
         process.terminate()
         assert process.wait(10) == 1
         until(lambda: not instances(laptop))

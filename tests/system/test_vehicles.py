@@ -73,7 +73,7 @@ class Place:
 
 def decided(places: dict[str, Place], *more: str) -> tuple[dict[str, list[Verdict]], dict[str, SystemHealth]]:
     """By place, what each fusion said while the first place's lidar saw an obstacle and the second's saw none."""
-    heard: dict[str, list[Verdict]] = {name: [] for name in places}
+    verdicts: dict[str, list[Verdict]] = {name: [] for name in places}
     healths: dict[str, SystemHealth] = {}
     started = threading.Event()
 
@@ -81,10 +81,10 @@ def decided(places: dict[str, Place], *more: str) -> tuple[dict[str, list[Verdic
         def note(sample: zenoh.Sample) -> None:
             payload = sample.payload.to_bytes()
             if str(sample.key_expr).endswith("/verdict"):
-                heard[name].append(decode(payload, Verdict))
+                verdicts[name].append(decode(payload, Verdict))
             else:
                 healths[name] = decode(payload, SystemHealth)
-            if all(heard.values()) and len(healths) == len(places):
+            if all(verdicts.values()) and len(healths) == len(places):
                 started.set()
 
         return note
@@ -105,13 +105,13 @@ def decided(places: dict[str, Place], *more: str) -> tuple[dict[str, list[Verdic
             for index, publish in enumerate(speak.values()):
                 publish(zones(near=index == 0))
             pause.wait(0.05)
-        return dict(heard), dict(healths)  # as they are while all speak
+        return dict(verdicts), dict(healths)  # as they are while all speak
 
 
 def test_what_one_vehicle_sees_never_decides_for_the_other(zenoh_config: ZenohConfig) -> None:
-    heard, healths = decided({host: Place(zenoh_config, host) for host in ("jetson0", "jetson1")})
-    assert any(verdict.level == "IMMINENT" for verdict in heard["jetson0"])
-    assert not any(verdict.level == "IMMINENT" for verdict in heard["jetson1"])
+    verdicts, healths = decided({host: Place(zenoh_config, host) for host in ("jetson0", "jetson1")})
+    assert any(verdict.level == "IMMINENT" for verdict in verdicts["jetson0"])
+    assert not any(verdict.level == "IMMINENT" for verdict in verdicts["jetson1"])
     assert healths["jetson1"].sensors["lidar"].state == "online"
     assert {name: health.vehicle for name, health in healths.items()} == {"jetson0": "car0", "jetson1": "car1"}
     assert not any("unexpected host" in note for health in healths.values() for note in health.notes)
@@ -130,10 +130,10 @@ def test_two_sites_with_linked_networks_and_the_same_host_names_keep_apart(
         }
         crossed: list[zenoh.Sample] = []
         router.declare_subscriber("north/jetson0/fusion/verdict", crossed.append)
-        heard, healths = decided(places)
+        verdicts, healths = decided(places)
     assert crossed  # the networks are linked indeed
-    assert any(verdict.level == "IMMINENT" for verdict in heard["north"])
-    assert not any(verdict.level == "IMMINENT" for verdict in heard["south"])
+    assert any(verdict.level == "IMMINENT" for verdict in verdicts["north"])
+    assert not any(verdict.level == "IMMINENT" for verdict in verdicts["south"])
     for health in healths.values():
         assert health.sensors["lidar"].state == "online"
         assert health.services["jetson0/lidar"].instances == 1  # the other site's lidar of that name is not seen
@@ -142,6 +142,6 @@ def test_two_sites_with_linked_networks_and_the_same_host_names_keep_apart(
 
 def test_a_fusion_of_another_vehicle_s_sensors_does_not_start(zenoh_config: ZenohConfig) -> None:
     process = fusion("jetson1", zenoh_config, "sensors.lidar.host=jetson0")
-    _, told = process.communicate(timeout=30)
+    _, stderr = process.communicate(timeout=30)
     assert process.returncode == 2
-    assert "[sensors.lidar] host = 'jetson0': not a host of vehicle 'car1'; allowed: jetson1, pi1" in told
+    assert "[sensors.lidar] host = 'jetson0': not a host of vehicle 'car1'; allowed: jetson1, pi1" in stderr

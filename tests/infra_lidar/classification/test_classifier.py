@@ -167,12 +167,12 @@ def test_nodes_that_are_no_trees_are_refused(array: str, node: int, number: floa
 )
 def test_a_missing_model_stops_before_anything_begins(words: list[str], tmp_path: Path) -> None:
     program = Path(sys.executable).with_name("spotter-infra-lidar")
-    told = subprocess.run([program, *words], capture_output=True, text=True, timeout=60, cwd=tmp_path, check=False)
-    assert told.returncode == 2
-    assert told.stderr.splitlines()[-1].startswith("spotter: ")
-    assert told.stderr.splitlines()[-1].endswith("/no/such.npz: no such model file")
-    assert "Traceback" not in told.stderr
-    assert ("[classifier] model:" in told.stderr) == ("--set" in words)
+    completed = subprocess.run([program, *words], capture_output=True, text=True, timeout=60, cwd=tmp_path, check=False)
+    assert completed.returncode == 2
+    assert completed.stderr.splitlines()[-1].startswith("spotter: ")
+    assert completed.stderr.splitlines()[-1].endswith("/no/such.npz: no such model file")
+    assert "Traceback" not in completed.stderr
+    assert ("[classifier] model:" in completed.stderr) == ("--set" in words)
 
 
 def test_another_set_of_classes_is_refused(tmp_path: Path) -> None:

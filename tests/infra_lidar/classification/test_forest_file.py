@@ -49,8 +49,8 @@ def test_a_damaged_file_is_a_model_error_or_the_same_model(tmp_path: Path) -> No
         path.write_bytes(data)
         try:
             assert load_forest(path).digest == two_stumps().digest
-        except ModelError as told:
-            refused.append(str(told))
+        except ModelError as error:
+            refused.append(str(error))
     assert len(refused) > 120
     assert all(line.startswith(f"{path}: ") for line in refused)
 

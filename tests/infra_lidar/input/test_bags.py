@@ -279,10 +279,10 @@ def test_a_damaged_bag_is_refused_or_gives_what_can_be_read(
 def test_look_says_what_is_in_a_bag_and_how_to_read_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write(tmp_path / "bag", [*clouds(), *scans(1)])
     assert print_senders(str(path), 1.0)
-    told = capsys.readouterr().out
-    assert "/points (sensor_msgs/msg/PointCloud2): 3 messages of 2 points, 10.0 a second" in told
-    assert "/velodyne_packets (velodyne_msgs/msg/VelodyneScan), Velodyne VLS-128: 7 messages of 100 packets" in told
-    assert f'source = "file:{path}?topic=/velodyne_packets"' in told
+    output = capsys.readouterr().out
+    assert "/points (sensor_msgs/msg/PointCloud2): 3 messages of 2 points, 10.0 a second" in output
+    assert "/velodyne_packets (velodyne_msgs/msg/VelodyneScan), Velodyne VLS-128: 7 messages of 100 packets" in output
+    assert f'source = "file:{path}?topic=/velodyne_packets"' in output
     nothing = write(tmp_path / "tf", [("/tf", "std_msgs/msg/String", 1, build("std_msgs/msg/String", data="x"))])
     assert not print_senders(str(nothing), 1.0)
     assert "no clouds and no packets of a lidar that we know; in the bag: /tf" in capsys.readouterr().out

@@ -134,9 +134,9 @@ def turn(sender: str = "192.168.1.201", product: int = 0xA1) -> list[bytes]:
     ],
 )
 def test_what_is_not_supported_is_named(tmp_path: Path, frames: list[bytes], words: str) -> None:
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as raised:
         source(tmp_path, pcap(*frames))
-    assert words in str(told.value)
+    assert words in str(raised.value)
 
 
 def test_metadata_of_another_mode_are_refused(tmp_path: Path) -> None:
@@ -178,13 +178,13 @@ TWO_KINDS = pcap(*turn(), ethernet(ipv4(b"a stranger", "192.168.1.9", 9000)))
 def test_what_is_asked_for_and_not_there_is_named(tmp_path: Path, query: str, words: str, has_metadata: bool) -> None:
     if has_metadata:
         (tmp_path / "street.json").write_text(metadata())
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as raised:
         source(tmp_path, TWO_KINDS, query=query)
-    assert words in str(told.value)
+    assert words in str(raised.value)
 
 
 def test_an_address_that_sends_nothing_of_a_lidar_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as raised:
         source(tmp_path, TWO_KINDS, query="&from=192.168.1.9")
     words = "we know of from=192.168.1.9; in the capture: Velodyne VLS-128 at 192.168.1.201"
-    assert words in str(told.value)
+    assert words in str(raised.value)

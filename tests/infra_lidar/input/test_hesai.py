@@ -110,7 +110,7 @@ def test_points_and_firing_times_are_those_of_an_independent_decoder(
     rows = "".join(f"{k + 1},{a},{b}\n" for k, (a, b) in enumerate(other._FIRING_OFFSET_STANDARD))
     ours_us = read_calibration(ANGLES, rows).firetime_s * 1e6
     for k, states in enumerate(other._FIRING_OFFSET_HIGH_RES):  # the manual's table B.4
-        assert all(told is None or abs(ours_us[s, k] - told) < 1e-6 for s, told in enumerate(states))
+        assert all(offset_us is None or abs(ours_us[s, k] - offset_us) < 1e-6 for s, offset_us in enumerate(states))
 
 
 def test_sizes_are_the_manuals() -> None:

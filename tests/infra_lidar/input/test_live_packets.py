@@ -31,7 +31,7 @@ FITTING, UNFIT, STRANGER = "fitting", "unfit", "stranger"
 
 
 @pytest.mark.parametrize(
-    ("told", "words"),
+    ("packets", "words"),
     [
         ([], "no packets on UDP port 7; check the sensor's power, cable, address"),
         ([FITTING], "UDP port 7 has packets of the sensor, but no revolution was completed; check how it turns"),
@@ -47,9 +47,9 @@ FITTING, UNFIT, STRANGER = "fitting", "unfit", "stranger"
         ),
     ],
 )
-def test_why_no_revolution_comes(told: list[str], words: str) -> None:
+def test_why_no_revolution_comes(packets: list[str], words: str) -> None:
     arrivals = Arrivals(7)
-    for what in told:
+    for what in packets:
         if what == FITTING:
             arrivals.fitting(100.0)
         elif what == UNFIT:

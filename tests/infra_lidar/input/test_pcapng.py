@@ -130,8 +130,8 @@ def test_packets_that_are_cut_are_left_out_and_logged(
     data: bytes, payloads: list[bytes], cut: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert [one.payload for one in read_capture(io.BytesIO(data))] == payloads
-    told = [f"capture: left out: {cut} UDP packets are cut, by the capture's snap length"] if cut else []
-    assert [record.getMessage()[: len(told[0])] for record in caplog.records] == told
+    expected = [f"capture: left out: {cut} UDP packets are cut, by the capture's snap length"] if cut else []
+    assert [record.getMessage()[: len(expected[0])] for record in caplog.records] == expected
 
 
 def test_the_bits_of_a_frame_check_sequence_are_no_link_layer() -> None:

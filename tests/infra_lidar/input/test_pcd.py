@@ -91,9 +91,9 @@ def test_pcd_with_eight_byte_time_and_a_padding_of_nothing():
 )
 def test_a_pcd_that_contradicts_itself_is_refused_in_words(change, words):
     assert change[0] in pcd("ascii", text())
-    with pytest.raises(FrameError) as told:
+    with pytest.raises(FrameError) as raised:
         parse_frame("a.pcd", pcd("ascii", text()).replace(*change))
-    assert words in str(told.value)
+    assert words in str(raised.value)
 
 
 @pytest.mark.parametrize(

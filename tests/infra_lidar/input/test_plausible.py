@@ -89,9 +89,9 @@ def test_a_ring_that_is_none_is_refused(name: str, write: Callable[[np.ndarray],
     rows[7, 4] = value
     if name == "a.npz" and value in (1e9, -5.0):  # clipped, as documented
         return
-    with pytest.raises(FrameError) as told:
+    with pytest.raises(FrameError) as raised:
         parse_frame(name, write(rows))
-    assert f"ring: whole numbers from 0 to 255 are expected, found {value:g}" in str(told.value)
+    assert f"ring: whole numbers from 0 to 255 are expected, found {value:g}" in str(raised.value)
 
 
 @pytest.mark.parametrize(("name", "write"), [("a.npy", npy), ("a.pcd", pcd)])
@@ -99,9 +99,9 @@ def test_a_ring_that_is_none_is_refused(name: str, write: Callable[[np.ndarray],
 def test_an_intensity_that_is_none_is_refused(name: str, write: Callable[[np.ndarray], bytes], value: float) -> None:
     rows = street()
     rows[7, 3] = value
-    with pytest.raises(FrameError) as told:
+    with pytest.raises(FrameError) as raised:
         parse_frame(name, write(rows))
-    assert f"intensity: expected 0 to 65535, found {value:g}" in str(told.value)
+    assert f"intensity: expected 0 to 65535, found {value:g}" in str(raised.value)
 
 
 def test_columns_that_were_asked_for_are_checked_too() -> None:

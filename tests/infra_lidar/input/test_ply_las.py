@@ -93,10 +93,10 @@ def test_ply_in_capitals() -> None:
     ],
 )
 def test_a_wrong_ply_is_refused_in_words(data: bytes, words: str) -> None:
-    with pytest.raises(FrameError) as told:
+    with pytest.raises(FrameError) as raised:
         parse_frame("a.ply", data)
-    assert str(told.value).startswith("a.ply: ")
-    assert words in str(told.value)
+    assert str(raised.value).startswith("a.ply: ")
+    assert words in str(raised.value)
 
 
 # --- LAS ---
@@ -190,9 +190,9 @@ def test_without_the_extras_they_are_named(monkeypatch: pytest.MonkeyPatch) -> N
     ],
 )
 def test_a_wrong_las_is_refused_in_words(make: Any, words: str) -> None:
-    with pytest.raises(FrameError) as told:
+    with pytest.raises(FrameError) as raised:
         parse_frame("a.las", make())
-    assert words in str(told.value)
+    assert words in str(raised.value)
 
 
 @settings(max_examples=150, deadline=None)
@@ -219,9 +219,9 @@ def test_they_are_sources_and_look_tells_of_them(
     frames = list(open_source(InfraLidarConfig(source=f"file:{tmp_path}?rate=0"), Report("test")))
     assert [len(frame.points) for _, frame in frames] == [2, 2]
     assert print_senders(str(tmp_path), 1.0)
-    told = capsys.readouterr().out
-    assert f"0.{suffix}: 2 points (x, y, z, intensity, ring), 1.1 to 3.7 m away" in told
-    assert f'source = "file:{tmp_path}"' in told
+    output = capsys.readouterr().out
+    assert f"0.{suffix}: 2 points (x, y, z, intensity, ring), 1.1 to 3.7 m away" in output
+    assert f'source = "file:{tmp_path}"' in output
     (tmp_path / f"wrong.{suffix}").write_bytes(b"wrong")
     assert not print_senders(str(tmp_path / f"wrong.{suffix}"), 1.0)
     assert "no header of a" in capsys.readouterr().out

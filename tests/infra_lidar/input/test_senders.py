@@ -99,11 +99,11 @@ def test_a_port_is_listened_to(free_ports: Callable[[], int]) -> None:
     thread = threading.Thread(target=speak)
     thread.start()
     try:
-        heard = next(listen(free_port, 20.0))
+        datagram = next(listen(free_port, 20.0))
     finally:
         stop.set()
         thread.join()
-    assert (heard.sender, heard.port) == ("127.0.0.1", free_port)
+    assert (datagram.sender, datagram.port) == ("127.0.0.1", free_port)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("", free_port))
         with pytest.raises(ConfigError, match="cannot listen on UDP port"):
@@ -174,9 +174,9 @@ def test_the_receiver_gets_the_group_of_the_source(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr("services.infra_lidar.input.live_packets.Receiver", opened)
     (tmp_path / "os.json").write_text(metadata("LEGACY"), encoding="utf-8")
     source = f"ouster://127.0.0.1?metadata={tmp_path / 'os.json'}&group=239.255.12.34"
-    with pytest.raises(Opened) as told:
+    with pytest.raises(Opened) as raised:
         next(live_packets(parse_source(source, SCHEMES), Report("test")))
-    assert told.value.args == ("239.255.12.34", 7502)
+    assert raised.value.args == ("239.255.12.34", 7502)
 
 
 def test_a_multicast_group_is_joined(until) -> None:  # type: ignore[no-untyped-def]

@@ -101,9 +101,9 @@ def test_the_file_beside_a_capture_has_its_name(capture: str, beside: str) -> No
 def test_without_a_calibration_there_are_no_points(street: Path, angles: str | None, query: str, words: str) -> None:
     if angles is not None:
         street.with_suffix(".csv").write_text(angles)
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as raised:
         frames(f"file:{street}?rate=0{query}")
-    assert words in str(told.value)
+    assert words in str(raised.value)
 
 
 def test_firing_times_of_another_model_are_refused(street: Path) -> None:

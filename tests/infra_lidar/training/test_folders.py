@@ -148,10 +148,10 @@ WRONG: list[tuple[Callable[[Path], Path], str]] = [
 
 @pytest.mark.parametrize(("make", "words"), WRONG)
 def test_every_wrong_folder_is_one_sentence(make: Callable[[Path], Path], words: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as raised:
         read_part(make(tmp_path), "train")
-    assert words in str(told.value)
-    assert "\n" not in str(told.value)
+    assert words in str(raised.value)
+    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize("points", [5, 8, 20, 40])
@@ -197,9 +197,9 @@ def run(*arguments: str) -> str:
     """What the command says when it ends with a wrong configuration."""
     app = typer.Typer()
     commands.add_commands(app)
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as raised:
         CliRunner().invoke(app, list(arguments), catch_exceptions=False)
-    return str(told.value)
+    return str(raised.value)
 
 
 def test_the_commands_answer_with_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,7 +29,7 @@ cli.main()
 
 
 @pytest.mark.parametrize(
-    ("ending", "code", "told"),
+    ("ending", "code", "reason"),
     [
         ("return", 0, ""),
         ("raise SystemExit(3)", 3, ""),
@@ -39,15 +39,15 @@ cli.main()
         ("raise RuntimeError('broken')", 1, "RuntimeError: broken"),
     ],
 )
-def test_a_session_left_open_keeps_no_command_alive(ending: str, code: int, told: str) -> None:
+def test_a_session_left_open_keeps_no_command_alive(ending: str, code: int, reason: str) -> None:
     """Nor is it aborted while Python clears up."""
     ended = subprocess.run(
         [sys.executable, "-c", LEFT_OPEN % ending], capture_output=True, text=True, timeout=30, check=False
     )
     assert ended.returncode == code, ended.stderr
     assert ended.stdout == "told\n"
-    assert told in ended.stderr
-    assert told or not ended.stderr
+    assert reason in ended.stderr
+    assert reason or not ended.stderr
 
 
 def test_a_reader_who_has_seen_enough_is_no_failure() -> None:

@@ -115,8 +115,8 @@ def test_the_schema_refuses_what_is_wrong(recording: Path, tmp_path: Path) -> No
 
 def test_kitti_leaves_out_what_is_not_in_the_map(two_hosts: Path, tmp_path: Path) -> None:
     out = tmp_path / "tracks.txt"
-    told = export(two_hosts, out, "--as", "kitti", "--host", "infra1")
-    assert "1 messages in the frame lidar, not map, left out" in told
+    output = export(two_hosts, out, "--as", "kitti", "--host", "infra1")
+    assert "1 messages in the frame lidar, not map, left out" in output
     assert [line.split()[0] for line in out.read_text().splitlines()] == ["0", "2"]
 
 
@@ -163,8 +163,8 @@ def test_a_recording_without_roadside_tracks(tmp_path: Path, speakers: Any) -> N
 @pytest.mark.parametrize("wrong", ["latitude_deg = 91.0", "longitude_deg = 13.0"])
 def test_a_wrong_origin_is_refused_by_name(recording: Path, tmp_path: Path, wrong: str) -> None:
     (tmp_path / "site.toml").write_text(f"[map]\nheading_deg = 0.0\n{wrong}\n")
-    told = export(recording, tmp_path / "out.geojson", "--site", str(tmp_path / "site.toml"), code=2)
-    assert "latitude_deg" in told
+    output = export(recording, tmp_path / "out.geojson", "--site", str(tmp_path / "site.toml"), code=2)
+    assert "latitude_deg" in output
 
 
 @pytest.mark.parametrize("form", ["geojson", "openlabel", "kitti"])
@@ -174,5 +174,5 @@ def test_tracks_that_cannot_be_read_are_not_called_missing(tmp_path: Path, speak
         message = speakers.objects(1_700_000_000_000_000_000, 3.0)
         payload = encode(message)[:-20]
         file.add("infra0/infra_lidar/tracks", type(message), payload, message.stamp_ns, message.stamp_ns, 0)
-    told = export(path, tmp_path / "out", "--as", form, "--site", site, code=1)
-    assert "1 messages could not be read, no others of their kind are there: 1 of infra0/infra_lidar/tracks" in told
+    output = export(path, tmp_path / "out", "--as", form, "--site", site, code=1)
+    assert "1 messages could not be read, no others of their kind are there: 1 of infra0/infra_lidar/tracks" in output

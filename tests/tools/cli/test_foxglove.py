@@ -65,11 +65,11 @@ class Viewer:
     def _hear(self, frame: str | bytes) -> None:
         if not isinstance(frame, str):
             return
-        told = json.loads(frame)
-        if told["op"] == "advertise":
-            self.channels |= {channel["topic"]: channel for channel in told["channels"]}
-        elif told["op"] == "status" and (
-            unknown := re.search(r"unknown channel\D*(\d+)", told["message"], re.IGNORECASE)
+        message = json.loads(frame)
+        if message["op"] == "advertise":
+            self.channels |= {channel["topic"]: channel for channel in message["channels"]}
+        elif message["op"] == "status" and (
+            unknown := re.search(r"unknown channel\D*(\d+)", message["message"], re.IGNORECASE)
         ):
             self._ask(self._wishes[int(unknown[1])])  # the server offers a channel a moment before it knows it
 

@@ -74,8 +74,8 @@ def test_health_says_it_of_every_sensor(speakers: ModuleType) -> None:
 
 def test_info_of_a_recording_says_what_was_live(tmp_path: Path, speakers: ModuleType) -> None:
     path = tmp_path / "drive.mcap"
-    told = {"vehicle": "car1", "version": "1", "source": "sim:crossing", "source_kind": "simulated"}
-    about = {**told, "instance": "a", "config": "{}"}
+    origin = {"vehicle": "car1", "version": "1", "source": "sim:crossing", "source_kind": "simulated"}
+    about = {**origin, "instance": "a", "config": "{}"}
     with RecordingFile(path, {"spotter": {"version": "1"}, "pi0/radar": about}) as file:
         for at_s in range(3):
             zones, radar = speakers.zones(at_s), speakers.radar(at_s)
@@ -84,7 +84,7 @@ def test_info_of_a_recording_says_what_was_live(tmp_path: Path, speakers: Module
             file.add("pi0/radar/tracks", type(radar), encode(radar), 10**9 * (at_s + 1), 0, at_s)
     found = json.loads(runner.invoke(app, ["info", str(path), "--json"]).stdout)
     assert found["messages"] == {"jetson0/lidar/zones": {"live": 3}, "pi0/radar/tracks": {"live": 1, "simulated": 2}}
-    assert found["services"] == {"pi0/radar": told}
+    assert found["services"] == {"pi0/radar": origin}
     assert (found["duration_s"], found["complete"]) == (2.0, True)
     assert "simulated: 2" in runner.invoke(app, ["info", str(path)]).stdout
 

@@ -35,10 +35,10 @@ def test_what_is_not_there_is_refused_with_what_there_is(tmp_path: Path, argumen
 
 def test_a_configuration_in_a_recording_has_no_secrets() -> None:
     config = load(DashboardConfig, None, ["server.token=open-sesame"])
-    told = public(config)
-    assert "open-sesame" not in str(told)
-    assert told["server"]["port"] == config.server.port
-    assert "zenoh" not in told
+    redacted = public(config)
+    assert "open-sesame" not in str(redacted)
+    assert redacted["server"]["port"] == config.server.port
+    assert "zenoh" not in redacted
 
 
 def test_the_last_word_of_a_recorder_that_a_full_disk_ended_is_why(
@@ -47,11 +47,11 @@ def test_the_last_word_of_a_recorder_that_a_full_disk_ended_is_why(
     monkeypatch.setattr(signal, "signal", lambda *_: None)  # the command sets its own
     words = ["record", str(tmp_path), "--keep-free", "1000000", "--host", "laptop1"]
     with open_session(zenoh_config) as listener:
-        heard: list[ServiceStatus] = []
+        statuses: list[ServiceStatus] = []
         listener.declare_subscriber(
-            "laptop1/recorder/status", lambda one: heard.append(decode(one.payload.to_bytes(), ServiceStatus))
+            "laptop1/recorder/status", lambda one: statuses.append(decode(one.payload.to_bytes(), ServiceStatus))
         )
         result = runner.invoke(app, [*words, "--connect", zenoh_config.connect[0], "--namespace", "spotter"])
-        until(lambda: heard)
+        until(lambda: statuses)
     assert (result.exit_code, "recording stopped, the files are complete" in result.output) == (1, True), result.output
-    assert (heard[-1].state, heard[-1].reason) == ("degraded", result.output.strip().removeprefix("spotter: "))
+    assert (statuses[-1].state, statuses[-1].reason) == ("degraded", result.output.strip().removeprefix("spotter: "))

@@ -89,9 +89,9 @@ def test_the_lines_that_it_gives_are_accepted(tmp_path: Path, host: str) -> None
 def test_a_simulated_world_is_there_when_it_is_asked_for_and_named(
     started: list[str], words: list[str], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    told = runner.invoke(app, ["up", "pi0", *words])
-    assert (told.exit_code, started) == (0, ["router", "radar"])
-    assert "(SIMULATED)" in told.output
+    result = runner.invoke(app, ["up", "pi0", *words])
+    assert (result.exit_code, started) == (0, ["router", "radar"])
+    assert "(SIMULATED)" in result.output
 
 
 @pytest.mark.parametrize("source", ["sim:crossing", "file:drive.radar", "mcap:drive.mcap", "spi:emulator"])

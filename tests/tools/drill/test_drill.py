@@ -170,8 +170,8 @@ def test_what_may_never_happen_is_found() -> None:
 
 
 def test_expectations() -> None:
-    told = SensorHealth(state="disconnected", reason="x", since_ns=0, age_ms=None, rate_hz=0.0, cause="stale")
-    health = SystemHealth(stamp_ns=1, sensors={"radar": told}, colour="amber", summary="x", services={}, notes=["odd"])
+    radar = SensorHealth(state="disconnected", reason="x", since_ns=0, age_ms=None, rate_hz=0.0, cause="stale")
+    health = SystemHealth(stamp_ns=1, sensors={"radar": radar}, colour="amber", summary="x", services={}, notes=["odd"])
     assert Expected(health={"radar": "disconnected"}, cause={"radar": "stale"}, note="od").health_fits(health)
     assert not Expected(cause={"radar": "service_gone"}).health_fits(health)
     assert not Expected(note="even").health_fits(health)

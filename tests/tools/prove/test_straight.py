@@ -22,27 +22,27 @@ def verdicts(scenario: Scenario, seconds: float, *, ego: bool = True) -> list[tu
     """Verdicts with the place of the bumper, once all sensors have settled."""
     configs = configs_of("model")
     senses, spotter = Senses(scenario, configs, ego=ego), Spotter(configs)
-    due_s, waiting, told = dict(senses.periods), list[tuple[float, int, Arrival]](), []
+    due_s, waiting, decisions = dict(senses.periods), list[tuple[float, int, Arrival]](), []
     for step in range(round(seconds / PERIOD_S)):
         now_s = step * PERIOD_S
         while min(due_s.values()) <= now_s:
             name = min(due_s, key=lambda one: due_s[one])
             for arrival in senses.measure(name, due_s[name]):
-                heapq.heappush(waiting, (arrival.at_s, len(told) * 1000 + len(waiting), arrival))
+                heapq.heappush(waiting, (arrival.at_s, len(decisions) * 1000 + len(waiting), arrival))
             due_s[name] += senses.periods[name]
         while waiting and waiting[0][0] <= now_s:
             spotter.take(heapq.heappop(waiting)[2])
         verdict = spotter.decide(now_s)
         if now_s >= SETTLED_S:
-            told.append((float(scenario.at(now_s).T_map_vehicle[0, 3]) + BUMPER_M, verdict))
-    return told
+            decisions.append((float(scenario.at(now_s).T_map_vehicle[0, 3]) + BUMPER_M, verdict))
+    return decisions
 
 
 @pytest.mark.slow
 def test_a_lane_of_parked_cars_is_safe_and_seen_all_the_way() -> None:
-    told = verdicts(parked_lane(2.0), 8.5)
-    assert {verdict.level for _, verdict in told} == {"SAFE"}
-    driving = [verdict for _, verdict in told if verdict.way is not None and verdict.way.motion == "driving"]
+    decisions = verdicts(parked_lane(2.0), 8.5)
+    assert {verdict.level for _, verdict in decisions} == {"SAFE"}
+    driving = [verdict for _, verdict in decisions if verdict.way is not None and verdict.way.motion == "driving"]
     assert len(driving) > 100
     assert all(v.covered_m is not None and v.way is not None and v.covered_m > v.way.stopping_m for v in driving)
 
@@ -56,11 +56,12 @@ def test_a_box_is_cautioned_of_and_then_imminent(
     speed_mps: float, at_m: float, caution_m: float, imminent_m: float
 ) -> None:
     """No later than by the article's rules, which at 3 m/s have no CAUTION before."""
-    told = verdicts(box_ahead(speed_mps, at_m), 3.0 + at_m / speed_mps)
+    decisions = verdicts(box_ahead(speed_mps, at_m), 3.0 + at_m / speed_mps)
     first = {
-        level: next(at_m - x_m for x_m, verdict in told if verdict.level == level) for level in ("CAUTION", "IMMINENT")
+        level: next(at_m - x_m for x_m, verdict in decisions if verdict.level == level)
+        for level in ("CAUTION", "IMMINENT")
     }
     assert first["CAUTION"] >= caution_m
     assert first["CAUTION"] > first["IMMINENT"] >= imminent_m
-    ranks = [LEVELS.index(verdict.level) for x_m, verdict in told if x_m < at_m]
+    ranks = [LEVELS.index(verdict.level) for x_m, verdict in decisions if x_m < at_m]
     assert ranks == sorted(ranks)

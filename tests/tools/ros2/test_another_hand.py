@@ -141,11 +141,11 @@ def test_our_tracks_are_read_there(guarded, peer: Peer, until) -> None:
             config, "listen", "/spotter/infra0/infra_lidar/objects", TRACKED_OBJECTS, "--count", "1", "--seconds", "60"
         )
 
-        def heard() -> bool:
+        def publish_and_poll() -> bool:
             publish(ObjectTracks(stamp_ns=utc_ns(), tracks=[car(7)]))
             return process.poll() is not None
 
-        until(heard, budget_s=60.0)
+        until(publish_and_poll, budget_s=60.0)
     stop.set()
     worker.join()
     bridge.close()

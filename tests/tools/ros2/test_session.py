@@ -81,9 +81,9 @@ def test_the_session_of_the_page(free_ports: Callable[[], int], start, until) ->
     router = start(at(commands[0], port))
     until(lambda: answers(port), "the router listens")
     *others, listener = [router, *(start(at(words, port)) for words in commands[1:])]
-    heard, _ = listener.communicate(timeout=230)
+    output, _ = listener.communicate(timeout=230)
     assert listener.returncode == 0, "our tracks were heard by a program of another hand"
-    lines = [line for line in heard.splitlines() if line.startswith("/spotter_simulated/infra0/infra_lidar/objects: ")]
+    lines = [line for line in output.splitlines() if line.startswith("/spotter_simulated/infra0/infra_lidar/objects: ")]
     assert len(lines) == 5
     assert any("TrackedObject(" in line for line in lines), "their clouds became tracks"
     assert all(process.poll() is None for process in others)
