@@ -41,7 +41,6 @@ class EmulatedActuator:
         self.verdicts_s: dict[int, float] = {}  # by the lower 16 bits of the number: when a frame first came with it
         self._frame: deque[int] = deque(maxlen=FRAME_BYTES)
         self.presses = 0
-        self.reported_why = -1  # of the newest report
         self.answers = True  # False: reads and obeys, says nothing
         self._changed = threading.Condition()
         self._stop = threading.Event()
@@ -98,7 +97,6 @@ class EmulatedActuator:
                 reported_s = now_s
                 try:
                     os.write(self._master, self.receiver.report(self.presses))
-                    self.reported_why = self.receiver.why
                 except BlockingIOError:
                     continue  # nobody reads
 
