@@ -111,10 +111,10 @@ def _collect(solids: Solids, rays: Rays, image: RangeImage, returns: Returns) ->
     owner = np.append(solids.owner, np.int32(GROUND_ID))
     kind = np.append(solids.kind, np.uint8(KINDS.index("ground")))
     return Scan(
-        xyz=rays.direction.reshape(-1, 3)[returns.ray] * returns.range_m[:, None],
+        xyz=np.take(rays.direction.reshape(-1, 3), returns.ray, axis=0) * returns.range_m[:, None],
         intensity=returns.intensity,
-        ring=(returns.ray % RINGS).astype(np.uint8),
-        time_s=rays.column_s.astype(np.float32)[returns.ray // RINGS],
+        ring=np.tile(np.arange(RINGS, dtype=np.uint8), len(rays.column_s))[returns.ray],
+        time_s=np.repeat(rays.column_s.astype(np.float32), RINGS)[returns.ray],
         actor_id=owner[row],
         kind=kind[row],
     )
