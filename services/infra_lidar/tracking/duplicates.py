@@ -57,8 +57,8 @@ def _is_piece(piece: DetectionRecord, track: TrackRecord) -> bool:
 def merge_duplicate_tracks(tracks: np.ndarray) -> np.ndarray:
     """Merge, in place, tracks (N,) of vehicles that move together and overlap: two vehicles cannot be in one place.
 
-    The older track lives on, with the box and the filter of the one with more points. Returns (N,) int64: index of the
-    track that each was merged into, -1 = none.
+    The older track lives on, with the box and the filter of the one that is seen better. Returns (N,) int64: index of
+    the track that each was merged into, -1 = none.
     """
     order = np.argsort(tracks["mean"][:, 0], kind="stable")
     place, reach = tracks["mean"][:, :2].copy(), 0.5 * (tracks["size"][:, 0] + tracks["size"][:, 1])
@@ -81,9 +81,19 @@ def _merge_along_x(tracks: np.ndarray, order: np.ndarray, place: np.ndarray, rea
             kept, removed = tracks[k], tracks[r]
             if _is_duplicate(kept, removed):
                 into[r] = k
-                if removed.detection >= 0 and (kept.detection < 0 or removed.points > kept.points):
+                if _is_better_seen(removed, kept):
                     _take_over_state(kept, removed)
     return into
+
+
+@kernel
+def _is_better_seen(one: TrackRecord, other: TrackRecord) -> bool:
+    """The only one with a detection, or the one with more points. A piece that just broke off a moving vehicle has no
+    velocity yet: its filter is no better."""
+    if one.detection < 0 or other.detection < 0:
+        return one.detection >= 0
+    is_young_piece = other.moving and not one.moving and one.size[0] * one.size[1] < other.size[0] * other.size[1]
+    return one.points > other.points and not is_young_piece
 
 
 @kernel

@@ -67,6 +67,21 @@ def test_the_older_track_lives_on_with_the_better_box() -> None:
     assert len(apart[-1]) == 2
 
 
+def test_a_piece_that_breaks_off_does_not_stop_a_moving_bus() -> None:
+    """The rear comes apart, with most of the points and the look of a car, and its track is younger than a second."""
+    frames = [bus(number, pieces=False) for number in range(20)]
+    for number in range(20, 26):
+        x = 0.8 * number
+        front = (x + 1.5, 0.0, 9.0, 2.5, 3.0, "large_vehicle", 150)
+        frames.append(frame(front, (x - 4.5, 0.0, 3.0, 2.6, 2.9, "car", 400)))
+    out, merged_into = play(frames)
+    assert merged_into
+    for tracks in out[20:]:
+        (whole,) = (track for track in tracks if track.track_id == out[19][0].track_id)
+        assert whole.velocity_mps[0] == pytest.approx(8.0, abs=1.0)
+        assert whole.size_m[0] > 9.0
+
+
 def test_parked_neighbours_stay_two() -> None:
     side = frame((0.0, 0.0, 4.5, 1.8, 1.5, "car", 90), (0.3, 2.3, 4.5, 1.8, 1.5, "car", 90))
     merged = frame((0.1, 1.1, 4.6, 4.1, 1.5, "car", 180))
