@@ -35,7 +35,7 @@ class TrackingConfig(Section, frozen=True, kw_only=True):
     coast_as_known: bool = True  # ... and after no longer than it had been observed before
     score_s: Positive = 0.5  # time constant of the score
     vote_s: Positive = 3.0  # time constant of the class votes, which are class probabilities added up
-    min_vote: Share = 0.5  # a class needs this share of the votes, or the track is "unknown"
+    min_vote: Share = 0.45  # a class needs this share of the votes, or the track is "unknown"
     movement_m: NotNegative = 0.5  # a track stands until it has moved this far within movement_s; 0 = all move
     movement_s: Positive = 1.0
     split_groups: bool = True  # split a cluster of people where the tracks of its members are predicted
