@@ -3,7 +3,7 @@
     python -m benchmarks.article.ablation [DIR] [-o PICTURE.png]
 
 DIR: labelled clusters in files, as `spotter-infra-lidar train DIR` takes them; without it those of generated streets.
-Needs the ``train`` extra. Forests are the article's: 100 trees, no limit on the leaves; calibrated like the shipped one.
+Needs the ``train`` extra. Forests are the article's: 100 trees, no limit on the leaves, calibrated as the shipped one.
 """
 
 from __future__ import annotations
