@@ -23,9 +23,9 @@ WORDS = "document.getElementById('{}').textContent"
 
 
 def keep_texts(browser: Any, element: str) -> None:
-    """From now on ``window.kept`` has every text that this element got."""
+    """From now on ``window.kept`` has the text of this element and every later one."""
     browser.run(f"""
-        window.kept = [];
+        window.kept = [{WORDS.format(element)}];
         new MutationObserver(() => window.kept.push({WORDS.format(element)}))
           .observe(document.getElementById('{element}'), {{childList: true, characterData: true, subtree: true}}); 0
     """)
@@ -104,7 +104,7 @@ def test_another_vehicle_s_sensor_is_not_shown(browser: Any, dashboard: Any, mod
     with speaking(module_router, own, other):
         browser.open(dashboard.url, 1400, 1000)
         keep_texts(browser, "radar-words")
-        browser.wait("window.kept.length > 0")
+        browser.wait("window.kept.some((text) => text.includes('-60 dB'))")
         seen = browser.run(
             "fetch('/api/snapshot').then((reply) => reply.json()).then((all) => Object.keys(all.entries))"
         )
