@@ -16,7 +16,7 @@ from services.infra_lidar.jit import kernel
 X, Y, COS, SIN, HALF_LENGTH, HALF_WIDTH, BOTTOM, TOP, COLUMNS = range(9)  # of a footprint
 SMALL_LENGTH_M, SMALL_WIDTH_M, SMALL_TOP_M = 5.3, 2.2, 2.2
 LARGE_LENGTH_M, LARGE_WIDTH_M, LARGE_TOP_M = 14.0, 3.3, 4.5
-WHOLE_CAR_LENGTH_M, WHOLE_CAR_WIDTH_M, WHOLE_CAR_TOP_M = 3.3, 1.4, 1.9  # what is as large and no higher lacks nothing
+WHOLE_CAR_LENGTH_M, WHOLE_CAR_WIDTH_M, WHOLE_CAR_TOP_M = (3.3, 5.5), (1.4, 2.5), 1.9  # such a cluster lacks nothing
 TOUCH_M = 0.35  # up to this gap fragments may meet at any angle (the corner of a vehicle)
 SMALL_GAP_M, LARGE_GAP_M = 1.2, 3.0
 HANGING_GAP_M = 0.4  # what begins this far above a fragment hangs over it: a sign, a branch
@@ -195,8 +195,9 @@ def _has_whole_car(foot: np.ndarray, members: np.ndarray) -> bool:
     """Whether one of the members is a car by itself: what is higher beside it is a post or a tree."""
     for k in members:
         long, wide = 2.0 * foot[k, HALF_LENGTH], 2.0 * foot[k, HALF_WIDTH]
-        a_car = WHOLE_CAR_LENGTH_M <= long <= SMALL_LENGTH_M and WHOLE_CAR_WIDTH_M <= wide <= SMALL_WIDTH_M
-        if a_car and foot[k, TOP] <= WHOLE_CAR_TOP_M:
+        as_long = WHOLE_CAR_LENGTH_M[0] <= long <= WHOLE_CAR_LENGTH_M[1]
+        as_wide = WHOLE_CAR_WIDTH_M[0] <= wide <= WHOLE_CAR_WIDTH_M[1]
+        if as_long and as_wide and foot[k, TOP] <= WHOLE_CAR_TOP_M:
             return True
     return False
 

@@ -3,6 +3,10 @@
 Cost of a pair = d2 + ln det S - w ln(p + 0.02). d2 is the squared Mahalanobis distance of the innovation and has to
 pass the gate. ln det S keeps an uncertain track from winning every tie. p is the probability that track and detection
 are of one class, so another class adds cost and is not forbidden.
+
+A track without a detection costs ``NO_MATCH_COST`` (global nearest neighbour: Blackman and Popoli, Design and Analysis
+of Modern Tracking Systems, 1999, chapter 6). So the track of a hidden vehicle does not take the detection of its
+neighbour, whose track would have to take another one.
 """
 
 from __future__ import annotations
@@ -19,6 +23,7 @@ from services.infra_lidar.tracking.detections import DetectionRecord
 from services.infra_lidar.tracking.kalman import TrackRecord, innovation
 
 FORBIDDEN = 1e6
+NO_MATCH_COST = 8.0
 
 
 class Pairs(NamedTuple):
@@ -37,9 +42,10 @@ class Matches(NamedTuple):
 
 
 def assign(pairs: Pairs) -> Matches:
-    """As many of the pairs as possible, and of these assignments the one of least total cost (Hungarian).
+    """The assignment of least total cost (Hungarian), with ``NO_MATCH_COST`` for each track without a detection.
 
-    Pairs without an alternative are taken at once: usually most, so that the cost matrix of the others is small.
+    Pairs without an alternative are taken at once, whatever they cost: usually most, so that the matrix of the others
+    is small.
     """
     is_lone = (np.bincount(pairs.track)[pairs.track] == 1) & (np.bincount(pairs.detection)[pairs.detection] == 1)
     lone_track, lone_detection = pairs.track[is_lone], pairs.detection[is_lone]
@@ -47,10 +53,11 @@ def assign(pairs: Pairs) -> Matches:
         return Matches(lone_track, lone_detection)
     contested = Pairs(*(column[~is_lone] for column in pairs))
     tracks, detections = (np.flatnonzero(np.bincount(index)) for index in (contested.track, contested.detection))
-    costs = np.full((len(tracks), len(detections)), FORBIDDEN)
-    costs[tracks.searchsorted(contested.track), detections.searchsorted(contested.detection)] = contested.cost
-    rows, columns = linear_sum_assignment(costs)
-    allowed = costs[rows, columns] < FORBIDDEN
+    saved = np.zeros((len(tracks), len(detections)))  # by a match; 0 = no pair, or none that is worth it
+    row, column = tracks.searchsorted(contested.track), detections.searchsorted(contested.detection)
+    saved[row, column] = np.maximum(NO_MATCH_COST - contested.cost, 0.0)
+    rows, columns = linear_sum_assignment(saved, maximize=True)
+    allowed = saved[rows, columns] > 0.0
     return Matches(
         np.concatenate((lone_track, tracks[rows[allowed]])),
         np.concatenate((lone_detection, detections[columns[allowed]])),

@@ -117,6 +117,15 @@ def test_a_sign_that_hangs_beside_the_end_of_a_car_is_not_its_own():
     assert np.mean(owner[cluster == of_end] == 0) > 0.9
 
 
+@pytest.mark.parametrize("width_m", [1.8, 2.35])  # noise makes boxes of moving cars up to 0.4 m wider
+def test_a_lorry_close_behind_a_car_is_not_joined_with_it(width_m):
+    car = solid((12, 0), (4.8, width_m), (0.2, 1.45), n=1200)
+    lorry = solid((16.8, 0), (3.2, 2.4), (0.3, 3.5), n=1500)
+    of_car, of_lorry = _own(*_cluster(car, lorry))
+    assert len(of_car) == len(of_lorry) == 1
+    assert of_car != of_lorry
+
+
 def test_people_beside_a_parked_car_are_not_joined_to_it():
     found, owner = _cluster(solid((12, 0), (4.3, 1.8), (0.2, 1.5)), solid((12, 1.6), (0.5, 0.5), (0.2, 1.7)))
     car, person = _own(found, owner)

@@ -9,7 +9,7 @@ from hypothesis import settings as how
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from services.infra_lidar.tracking.association import FORBIDDEN, Pairs, assign, gated_pairs
+from services.infra_lidar.tracking.association import FORBIDDEN, NO_MATCH_COST, Pairs, assign, gated_pairs
 from services.infra_lidar.tracking.config import TrackingConfig, kernel_settings
 from services.infra_lidar.tracking.detections import DETECTION
 from services.infra_lidar.tracking.kalman import TRACK
@@ -62,14 +62,25 @@ def test_assignment_takes_the_least_total_cost() -> None:
     assert matches_of(np.empty((0, 5))) == {}
 
 
+def test_a_hidden_vehicle_does_not_take_the_detection_of_its_neighbour() -> None:
+    """Track 0 sees its own car and a bush; track 1 has lost its car and could have that of track 0, if 0 took the
+    bush."""
+    seen, bush, lost = -8.0, -1.0, 4.0
+    assert matches_of(np.array([[seen, bush], [lost, FORBIDDEN]])) == {0: 0}
+    assert matches_of(np.array([[seen, seen + 0.5], [lost, FORBIDDEN]])) == {0: 1, 1: 0}
+    dear = NO_MATCH_COST + 1.0
+    assert matches_of(np.array([[seen, FORBIDDEN], [dear, dear]])) == {0: 0}, "contested and not worth it"
+    assert matches_of(np.array([[dear]])) == {0: 0}, "nothing competes: the gate alone decides"
+
+
 @how(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 100_000), n=st.integers(0, 9), k=st.integers(0, 9), share=st.floats(0.0, 1.0))
-def test_pairs_without_an_alternative_may_be_taken_at_once(seed: int, n: int, k: int, share: float) -> None:
-    """As many pairs, and the same total cost, as scipy finds in the whole matrix."""
+def test_the_total_cost_is_the_least_of_the_whole_matrix(seed: int, n: int, k: int, share: float) -> None:
+    """Against scipy on a matrix in which each track has a column of its own for "no match"."""
     rng = np.random.default_rng(seed)
-    cost = np.where(rng.random((n, k)) < share, rng.normal(0, 3, (n, k)), FORBIDDEN)
+    cost = np.where(rng.random((n, k)) < share, rng.uniform(NO_MATCH_COST - 20.0, NO_MATCH_COST, (n, k)), FORBIDDEN)
     matches = matches_of(cost)
-    r, c = linear_sum_assignment(cost)
-    allowed = cost[r, c] < FORBIDDEN
-    assert len(set(matches.values())) == len(matches) == allowed.sum()
-    assert sum(cost[pair] for pair in matches.items()) == pytest.approx(cost[r, c][allowed].sum())
+    whole = np.hstack((cost, np.full((n, n), NO_MATCH_COST)))
+    least = whole[linear_sum_assignment(whole)].sum()
+    assert len(set(matches.values())) == len(matches)
+    assert sum(cost[pair] for pair in matches.items()) + NO_MATCH_COST * (n - len(matches)) == pytest.approx(least)
