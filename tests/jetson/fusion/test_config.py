@@ -9,6 +9,7 @@ import msgspec
 import pytest
 
 from common.config import ConfigError, load
+from common.topics import ONBOARD_SENSORS
 from services.jetson.fusion import config as fusion_config
 from services.jetson.fusion.config import FusionConfig
 
@@ -67,4 +68,4 @@ def test_a_vehicle_with_some_of_the_sensors() -> None:
     some = own.only(("lidar", "radar"))
     assert (some.lidar, some.radar, some.infra_lidar) == (own.lidar, own.radar, own.infra_lidar)
     assert (some.camera.expected, some.camera.host) == (False, own.camera.host)
-    assert own.only(("lidar", "radar", "camera")) == own
+    assert own.only(ONBOARD_SENSORS) == own

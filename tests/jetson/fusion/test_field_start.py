@@ -9,13 +9,15 @@ import pytest
 from common.topics import ONBOARD_SENSORS
 from services.jetson.fusion.config import FusionConfig, HealthConfig, SensorConfig, SensorsConfig
 
+WITHOUT_CAMERA = tuple(name for name in ONBOARD_SENSORS if name != "camera")
+
 
 def outcome(verdict: Any) -> tuple[str, str]:
     return verdict.level, verdict.permission
 
 
 def test_start_up_waits_ten_seconds_at_most(new_bench: Any) -> None:
-    bench = new_bench(sensors=("lidar", "radar", "infra_lidar"))
+    bench = new_bench(sensors=(*WITHOUT_CAMERA, "infra_lidar"))
     bench.run(9.9)
     assert outcome(bench.verdict) == ("CAUTION", "STOP")
     assert bench.verdict.rule == "A25-starting"
@@ -24,7 +26,7 @@ def test_start_up_waits_ten_seconds_at_most(new_bench: Any) -> None:
 
 
 def test_the_time_it_waits_is_a_setting(new_bench: Any) -> None:
-    bench = new_bench(FusionConfig(health=HealthConfig(start_s=2.0)), sensors=("lidar", "radar"))
+    bench = new_bench(FusionConfig(health=HealthConfig(start_s=2.0)), sensors=WITHOUT_CAMERA)
     assert bench.run(1.9).rule == "A25-starting"
     assert bench.run(0.2).rule == "R0-clear"
 
@@ -53,6 +55,7 @@ def test_nobody_misses_a_sensor_that_is_not_fitted(new_bench: Any, missing: str)
     bench.kill(fitted[0])
     bench.run(1.0)
     assert (bench.health.colour, bench.verdict.level) == ("amber", "SAFE")
-    bench.kill(fitted[1])
+    for name in fitted[1:]:
+        bench.kill(name)
     assert bench.run(1.0).blind
     assert outcome(bench.verdict) == ("CAUTION", "STOP")
