@@ -24,6 +24,8 @@ import typer
 from common.bus.session import init_zenoh_log
 from common.config import ConfigError, ServiceConfig, load
 
+STOP_AGAIN_S = 0.05  # after a signal that was lost in a callback
+
 C = TypeVar("C", bound=ServiceConfig)
 
 ConfigOption = Annotated[Path | None, typer.Option("--config", help="TOML file; without it the shipped defaults.")]
@@ -141,8 +143,16 @@ def run_until_stopped(run: Callable[[], object]) -> NoReturn:
         stopped.append(signum)
         raise KeyboardInterrupt
 
-    for signum in (signal.SIGINT, signal.SIGTERM):
+    def swallowed(lost: sys.UnraisableHookArgs) -> None:
+        """What a callback from C raises is lost there (Numba compiles so): stop again as soon as it has returned."""
+        if stopped and lost.exc_type is KeyboardInterrupt:
+            signal.setitimer(signal.ITIMER_REAL, STOP_AGAIN_S)
+        else:
+            sys.__unraisablehook__(lost)
+
+    for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
         signal.signal(signum, stop)
+    sys.unraisablehook = swallowed
     code = 0
     try:
         run()

@@ -20,6 +20,19 @@ def run():
     except KeyboardInterrupt as interrupt:
         raise SystemError("kernel returned a result with an exception set") from interrupt
 
+def in_a_callback():  # stopped inside what C calls back, as Numba's compiler is: ctypes reports the exception, goes on
+    import ctypes, time
+
+    @ctypes.CFUNCTYPE(None)
+    def callback():
+        print("ready", flush=True)
+        while True:
+            time.sleep(0.01)
+
+    callback()
+    while True:
+        time.sleep(0.01)
+
 run_until_stopped(%s)
 """
 
@@ -30,9 +43,10 @@ def start(run: str) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.parametrize("where", ["run", "in_a_callback"])
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
-def test_stopped_inside_compiled_code_it_ends_without_a_word(signum: signal.Signals) -> None:
-    with start("run") as process:
+def test_stopped_inside_compiled_code_it_ends_without_a_word(signum: signal.Signals, where: str) -> None:
+    with start(where) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         process.send_signal(signum)
