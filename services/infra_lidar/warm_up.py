@@ -46,10 +46,11 @@ POINTS = 400  # in each
 def warm_up(config: InfraLidarConfig, report: Callable[[str], None]) -> float:
     """Run a made-up scene through the pipeline until it has learned the background; returns the milliseconds it took.
 
-    ``report`` is called with a line of text about the progress.
+    ``report`` is called with a line of text about the progress, which is also logged.
     """
-    first = "compiling kernels: once on this machine, about a minute"
-    report("loading kernels" if DONE.exists() else first)
+    doing = "loading kernels" if DONE.exists() else "compiling kernels: once on this machine, about a minute"
+    report(doing)
+    log.info(doing)
     watch, image = Stopwatch(), made_up_revolution()
     calibration = CalibrationConfig(frames=1, hypotheses=16)  # the made-up sensor stands level, the real one may not
     background = replace(config.background, learn_s=0.1, min_frames=5)
@@ -169,7 +170,7 @@ def main() -> None:
     from spotter_sim import lidar128
 
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    warm_up(InfraLidarConfig(), log.info)
+    warm_up(InfraLidarConfig(), lambda text: None)
     lidar128.scan("crossing", 0.0)
 
 
