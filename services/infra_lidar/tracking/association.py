@@ -23,7 +23,7 @@ from services.infra_lidar.tracking.detections import DetectionRecord
 from services.infra_lidar.tracking.kalman import TrackRecord, innovation
 
 FORBIDDEN = 1e6
-NO_MATCH_COST = 8.0
+NO_MATCH_COST = 8.0  # with 5.0 the MOTA of generated streets changes by 0.3 points, up on one set and down on another
 
 
 class Pairs(NamedTuple):
