@@ -27,6 +27,9 @@ define pytest
 	$(BIN)/pytest --last-failed --last-failed-no-failures none -m "$(1)"; }
 endef
 
+# The tests' own modules are compiled once, and not by each worker of each part, whatever the shell says.
+test test-fast: export PYTHONDONTWRITEBYTECODE :=
+
 test: setup
 ifeq ($(strip $(ARGS)),)
 	$(call pytest,not system and not netns,-q --numprocesses 3 --dist loadfile --no-loadscope-reorder)

@@ -224,7 +224,9 @@ def ask(session: zenoh.Session, key: str, **parameters: str) -> list[bytes]:
 
 @pytest.mark.system
 @pytest.mark.slow
-def test_two_hosts_save_the_same_incident(zenoh_config: ZenohConfig, tmp_path: Path, spawn: Callable[..., Any]) -> None:
+def test_two_hosts_save_the_same_incident(
+    zenoh_config: ZenohConfig, tmp_path: Path, spawn: Callable[..., Any], until: Callable[..., None]
+) -> None:
     for host in ("jetson0", "pi0"):
         spawn(
             "spotter-blackbox", "--set", f"host={host}", "--set", f'zenoh.connect=["{zenoh_config.connect[0]}"]',
@@ -254,17 +256,12 @@ def test_two_hosts_save_the_same_incident(zenoh_config: ZenohConfig, tmp_path: P
     speaker.start()
     try:
         with open_session(zenoh_config) as laptop:
-            deadline_s = time.monotonic() + 30
-            while len(ask(laptop, "*/blackbox/incidents")) < 2:
-                assert time.monotonic() < deadline_s
+            until(lambda: len(ask(laptop, "*/blackbox/incidents")) == 2)
             alarm_at_s = time.monotonic() + 1.5  # both have seen SAFE by then
             while time.monotonic() < alarm_at_s:
                 stop.wait(0.05)
             levels["now"] = "IMMINENT"
-            deadline_s = time.monotonic() + 20
-            while not (incidents(tmp_path / "jetson0") and incidents(tmp_path / "pi0")):
-                assert time.monotonic() < deadline_s
-                stop.wait(0.05)
+            until(lambda: incidents(tmp_path / "jetson0") and incidents(tmp_path / "pi0"))
     finally:
         stop.set()
         speaker.join()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -66,23 +64,19 @@ def test_nothing_else_is_given(served: Any, name: str, part: str) -> None:
 
 
 def test_saving_again_names_the_open_incident_and_keeps_the_words(
-    zenoh_config: ZenohConfig, tmp_path: Path, spawn: Callable[..., Any]
+    zenoh_config: ZenohConfig, tmp_path: Path, spawn: Callable[..., Any], until: Callable[..., None]
 ) -> None:
     connect = f'zenoh.connect=["{zenoh_config.connect[0]}"]'
     spawn(
         "spotter-blackbox", "--set", "host=pi0", "--set", connect, "--set", f"folder={tmp_path}", "--set", "after_s=3.0"
     )
-    pause, deadline_s = threading.Event(), time.monotonic() + 40
     with open_session(zenoh_config) as laptop:
-        while not ask(laptop, "*/blackbox/incidents"):
-            assert time.monotonic() < deadline_s
+        until(lambda: ask(laptop, "*/blackbox/incidents"))
         answers = [
             json.loads(ask(laptop, "*/blackbox/save", why=why, at_ns=str(T0 + n))[0])
             for n, why in enumerate(("near miss at the gate", "he waved", "and left"))
         ]
-        while not incidents(tmp_path):
-            assert time.monotonic() < deadline_s
-            pause.wait(0.05)
+        until(lambda: incidents(tmp_path))
     (name,) = incidents(tmp_path)
     assert answers == [{"incident": name, "new": True}] + [{"incident": name, "new": False}] * 2
     kept = read_metadata(tmp_path / name / "pi0.mcap")["incident"]

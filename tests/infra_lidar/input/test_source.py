@@ -137,14 +137,13 @@ def test_packets_over_a_socket_become_revolutions(report):
         receiver.close()
 
 
-def test_late_frames_make_room_for_new_ones(report):
+def test_late_frames_make_room_for_new_ones(report, until):
     receiver = Receiver("127.0.0.1", 0, Vls128Parser(), report)
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         for k in range(0, 12 * 8 + 2):  # eight revolutions of twelve packets, none is taken
             sender.sendto(_packet((30 * k) % 360, 166 * k), ("127.0.0.1", receiver.port))
-        while report.snapshot().counters.get("incomplete revolution", 0) < 8:
-            assert receiver._thread.is_alive()
+        until(lambda: report.snapshot().counters.get("incomplete revolution", 0) == 8)
         assert report.snapshot().dropped >= 5
         assert receiver.next(5.0) is not None
     finally:

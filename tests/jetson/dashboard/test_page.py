@@ -9,9 +9,9 @@ import importlib.metadata
 import json
 import os
 import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -235,7 +235,9 @@ def test_verdict_and_health_stay_while_the_page_is_scrolled(browser: Any, fusion
     browser.wait("document.getElementById('slim').hidden")
 
 
-def test_a_phone_asks_for_what_is_on_its_screen(browser: Any, fusion: Fusion, url: str, module_router: str) -> None:
+def test_a_phone_asks_for_what_is_on_its_screen(
+    browser: Any, fusion: Fusion, url: str, module_router: str, until: Callable[..., None]
+) -> None:
     """Pictures are made only once the camera's view is scrolled to, and no longer when it is left."""
     with Service("camera", ServiceConfig(host="jetson0", zenoh=ZenohConfig(connect=(module_router,)))) as camera:
         publish = camera.publisher(topics.CAMERA_IMAGE)
@@ -249,9 +251,7 @@ def test_a_phone_asks_for_what_is_on_its_screen(browser: Any, fusion: Fusion, ur
         assert not publish.wanted
         for place, wanted in (("t-camera", True), ("level", False)):
             browser.run(f"document.getElementById('{place}').scrollIntoView()")
-            deadline_s = time.monotonic() + 20
-            while not wanted_is(wanted):
-                assert time.monotonic() < deadline_s, place
+            until(partial(wanted_is, wanted), place)
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
