@@ -17,8 +17,8 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 demo: setup
 	@$(BIN)/spotter demo $(ARGS)
 
-# Everything: what computes on all cores at once (three workers for two: one waits for a minute), then what runs a few
-# real processes, two tests at a time, then what runs whole systems. ARGS="-k word" or a path runs those tests by themselves.
+# Everything: what computes on all cores at once, then what runs a few real processes, then what runs whole systems. Three
+# workers for two cores, for one of them waits. ARGS="-k word" or a path runs those tests by themselves.
 # $(call pytest,MARKS,OPTIONS): up to three tests that failed beside others that want the same two cores run once more,
 # by themselves, and have to pass there; the first failure stays in the output.
 define pytest
@@ -33,7 +33,7 @@ test test-fast: export PYTHONDONTWRITEBYTECODE :=
 test: setup
 ifeq ($(strip $(ARGS)),)
 	$(call pytest,not system and not netns,-q --numprocesses 3 --dist loadfile --no-loadscope-reorder)
-	$(call pytest,system and not netns and not alone,-q --numprocesses 2 --dist loadfile)
+	$(call pytest,system and not netns and not alone,-q --numprocesses 3 --dist loadfile)
 	$(call pytest,netns or alone,)
 else
 	@$(BIN)/pytest $(ARGS)

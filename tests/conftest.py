@@ -41,7 +41,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 settings.register_profile("spotter", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("spotter")
 
-# A test with one of these fixtures runs real processes or real Zenoh. Such tests run two at a time at most
+# A test with one of these fixtures runs real processes or real Zenoh. Such tests run three at a time at most
 # (marked `system` here), unless they are marked as patient.
 LIVE_FIXTURES = frozenset({
     "router_endpoint", "zenoh_config", "module_router", "browser", "start_dashboard_at", "spawn",
