@@ -256,12 +256,12 @@ def test_two_hosts_save_the_same_incident(
     speaker.start()
     try:
         with open_session(zenoh_config) as laptop:
-            until(lambda: len(ask(laptop, "*/blackbox/incidents")) == 2)
+            until(lambda: len(ask(laptop, "*/blackbox/incidents")) == 2, budget_s=30)
             alarm_at_s = time.monotonic() + 1.5  # both have seen SAFE by then
             while time.monotonic() < alarm_at_s:
                 stop.wait(0.05)
             levels["now"] = "IMMINENT"
-            until(lambda: incidents(tmp_path / "jetson0") and incidents(tmp_path / "pi0"))
+            until(lambda: incidents(tmp_path / "jetson0") and incidents(tmp_path / "pi0"), budget_s=20)
     finally:
         stop.set()
         speaker.join()

@@ -71,12 +71,12 @@ def test_saving_again_names_the_open_incident_and_keeps_the_words(
         "spotter-blackbox", "--set", "host=pi0", "--set", connect, "--set", f"folder={tmp_path}", "--set", "after_s=3.0"
     )
     with open_session(zenoh_config) as laptop:
-        until(lambda: ask(laptop, "*/blackbox/incidents"))
+        until(lambda: ask(laptop, "*/blackbox/incidents"), budget_s=40)
         answers = [
             json.loads(ask(laptop, "*/blackbox/save", why=why, at_ns=str(T0 + n))[0])
             for n, why in enumerate(("near miss at the gate", "he waved", "and left"))
         ]
-        until(lambda: incidents(tmp_path))
+        until(lambda: incidents(tmp_path), budget_s=20)
     (name,) = incidents(tmp_path)
     assert answers == [{"incident": name, "new": True}] + [{"incident": name, "new": False}] * 2
     kept = read_metadata(tmp_path / name / "pi0.mcap")["incident"]

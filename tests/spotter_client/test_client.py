@@ -84,7 +84,7 @@ def test_latest_waits_once_and_then_follows(endpoint: str, until: Callable[..., 
     with connect(endpoint) as bus:
         first = bus.latest(ZONES, LidarZones)
         assert first.centre.nearest_m == pytest.approx(0.61)
-        until(lambda: bus.latest(ZONES, LidarZones).seq != first.seq)
+        until(lambda: bus.latest(ZONES, LidarZones).seq != first.seq, budget_s=20)
         assert bus.latest("jetson0/lidar/status").state == "online"
 
 

@@ -89,7 +89,7 @@ def start_dashboard_at(until: Callable[..., None]) -> Iterator[Callable[..., Das
 
     def start(endpoint: str, *settings: str, port: int | None = None) -> Dashboard:
         started.append(Dashboard(endpoint, port or free_port(), *settings))
-        until(started[-1].answers)
+        until(started[-1].answers, budget_s=30)
         return started[-1]
 
     yield start

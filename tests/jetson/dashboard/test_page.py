@@ -251,7 +251,7 @@ def test_a_phone_asks_for_what_is_on_its_screen(
         assert not publish.wanted
         for place, wanted in (("t-camera", True), ("level", False)):
             browser.run(f"document.getElementById('{place}').scrollIntoView()")
-            until(partial(wanted_is, wanted), place)
+            until(partial(wanted_is, wanted), place, budget_s=20)
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
