@@ -29,6 +29,9 @@ endef
 
 # The tests' own modules are compiled once, and not by each worker of each part, whatever the shell says.
 test test-fast: export PYTHONDONTWRITEBYTECODE :=
+# One thread for each process, as services have: those of numpy in three workers only wait for each other.
+test test-fast: export OMP_NUM_THREADS := 1
+test test-fast: export OPENBLAS_NUM_THREADS := 1
 
 test: setup
 ifeq ($(strip $(ARGS)),)
