@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 
-import numpy as np
-
 from services.jetson.fusion.evidence import SensorInput
 
 WINDOW = 256  # inputs
@@ -34,8 +32,9 @@ class LatencyBook:
         table: dict[str, float] = {}
         for name, values in [*self._age_ms.items(), ("fusion", self._fusion_ms)]:
             if values:
-                p50, p99 = np.percentile(values, (50, 99))
-                table |= {f"{name}_p50": round(float(p50), 3), f"{name}_p99": round(float(p99), 3)}
+                ordered = sorted(values)  # numpy's percentiles of so few took a tenth of fusion's time
+                p50, p99 = (ordered[round(share * (len(ordered) - 1))] for share in (0.50, 0.99))
+                table |= {f"{name}_p50": round(p50, 3), f"{name}_p99": round(p99, 3)}
         return table
 
     def over_budget(self) -> dict[str, str]:
