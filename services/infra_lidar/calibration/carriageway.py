@@ -14,10 +14,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from services.infra_lidar.jit import kernel
+
 COARSE_M, FINE_M = 0.4, 0.25  # strips for the direction and for the profile
 SEARCHED_POINTS = 3000
 TURNS_DEG = ((6.0, 15), (1.5, 4), (0.4, 4))  # step and number of steps to either side
 MISFIT_M = 0.05  # half width of Tukey's weight
+FIT_SCALES = (6.0, 3.0, 1.5, 1.0, 1.0)  # of that width, one fit after the other
 STRIP_POINTS, STRIP_ERROR_M, PIECE_COST = 4, 0.006, 14.0  # for the cut; cost in squared errors
 MIN_PIECE_M = 0.7
 KERB_M, VALLEY, VALLEY_M = 0.04, 0.03, 0.025  # least step of a kerb; VALLEY_M where the slope rises by VALLEY: a gutter
@@ -84,32 +87,67 @@ def _direction(local: np.ndarray) -> float:
 
 
 def _misfit(local: np.ndarray, direction_rad: float) -> float:
-    return _profile(*_turned(local, direction_rad), local[:, 2], COARSE_M)[3]
+    return _profile(*_turned(local, direction_rad), np.ascontiguousarray(local[:, 2]), COARSE_M)[3]
 
 
+@kernel
 def _profile(
     across: np.ndarray, along: np.ndarray, z: np.ndarray, strip_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Middles (S,), heights (S,) and sums of weights (S,) of the strips seen, and Tukey's loss, 0 to 1."""
-    number = np.floor(across / strip_m).astype(np.int64)
-    first = int(number.min())
-    number -= first
+    strip = np.floor(across / strip_m).astype(np.int64)
+    first = strip.min()
+    strip -= first
     near = 1.0 / (1.0 + (across**2 + along**2) / 12.0**2)
-    columns = np.stack([along, along**2])
-    weight, slope = near * (np.abs(z) < 0.5), np.zeros(2)
-    for scale_m in (6.0, 3.0, 1.5, 1.0, 1.0):
-        total = np.bincount(number, weight) + 1e-12
-        mean_z = np.bincount(number, weight * z) / total
-        mean = np.stack([np.bincount(number, weight * column) / total for column in columns])
-        free, rise = columns - mean[:, number], z - mean_z[number]
-        slope = np.linalg.solve((free * weight) @ free.T + 1e-6 * np.eye(2), (free * weight) @ rise)
-        squared = ((rise - slope @ free) / (scale_m * MISFIT_M)) ** 2
-        weight = near * np.maximum(0.0, 1.0 - squared) ** 2
-    loss = float(near @ (1.0 - np.maximum(0.0, 1.0 - squared) ** 3) / near.sum())
-    height_m = mean_z - slope @ mean
-    seen = np.bincount(number, weight > 0.0) >= STRIP_POINTS
-    middle = (np.arange(len(total)) + first + 0.5) * strip_m
-    return middle[seen], height_m[seen], np.bincount(number, weight / near)[seen], loss
+    weight, slope, loss = near * (np.abs(z) < 0.5), np.zeros(2), 0.0
+    mean = np.zeros((strip.max() + 1, 4))
+    for scale_m in FIT_SCALES:
+        mean = _strip_means(strip, along, z, weight, len(mean))
+        slope = _common_slope(strip, along, z, weight, mean)
+        loss = 0.0
+        for i in range(len(z)):
+            _, level, linear, square = mean[strip[i]]
+            rest = z[i] - level - slope[0] * (along[i] - linear) - slope[1] * (along[i] ** 2 - square)
+            fit = max(0.0, 1.0 - (rest / (scale_m * MISFIT_M)) ** 2)
+            weight[i] = near[i] * fit**2
+            loss += near[i] * (1.0 - fit**3)
+    points, support = np.zeros(len(mean), np.int64), np.zeros(len(mean))
+    for i in range(len(z)):
+        points[strip[i]] += weight[i] > 0.0
+        support[strip[i]] += weight[i] / near[i]
+    seen = points >= STRIP_POINTS
+    height_m = mean[:, 1] - slope[0] * mean[:, 2] - slope[1] * mean[:, 3]
+    middle = (np.arange(len(mean)) + first + 0.5) * strip_m
+    return middle[seen], height_m[seen], support[seen], loss / near.sum()
+
+
+@kernel
+def _strip_means(strip: np.ndarray, along: np.ndarray, z: np.ndarray, weight: np.ndarray, strips: int) -> np.ndarray:
+    """(S, 4) of each strip: sum of the weights, and weighted means of z, ``along`` and its square."""
+    mean = np.zeros((strips, 4))
+    for i in range(len(z)):
+        mean[strip[i], 0] += weight[i]
+        mean[strip[i], 1] += weight[i] * z[i]
+        mean[strip[i], 2] += weight[i] * along[i]
+        mean[strip[i], 3] += weight[i] * along[i] ** 2
+    for row in mean:
+        row[0] += 1e-12
+        row[1:] /= row[0]
+    return mean
+
+
+@kernel
+def _common_slope(
+    strip: np.ndarray, along: np.ndarray, z: np.ndarray, weight: np.ndarray, mean: np.ndarray
+) -> np.ndarray:
+    """(2,) b and c of b v + c v^2, the same in all strips: least squares about the strips' means (S, 4)."""
+    aa, ab, bb, az, bz = 1e-6, 0.0, 1e-6, 0.0, 0.0
+    for i in range(len(z)):
+        _, level, linear, square = mean[strip[i]]
+        a, b, rise = along[i] - linear, along[i] ** 2 - square, z[i] - level
+        aa, ab, bb = aa + weight[i] * a * a, ab + weight[i] * a * b, bb + weight[i] * b * b
+        az, bz = az + weight[i] * a * rise, bz + weight[i] * b * rise
+    return np.array([az * bb - bz * ab, bz * aa - az * ab]) / (aa * bb - ab * ab)
 
 
 def cut(u: np.ndarray, z: np.ndarray, weight: np.ndarray) -> list[Piece]:

@@ -1,13 +1,10 @@
 """Where the road is: the plane at the foot of the pole, from the first frames (RANSAC, then a robust refit).
 
-Method: hypotheses through three points each (Fischler and Bolles 1981), drawn with a fixed seed from a cloud thinned to
-one point per voxel, so that a facade beside the pole counts by its area only. A hypothesis needs a normal within
-the mounting cone; it is scored by the points near it minus those below it, because nothing lies under a road. The best
-one is refitted by iteratively reweighted least squares (Tukey's weight); where the cross section shows kerbs or a crown
-line (``carriageway.py``) only by the carriageway at the foot. Its plane there is the answer. The error is estimated by
-leaving out one direction after another (jackknife over sectors), and grows with the distance of the road that was seen
-and with what a second look from the plane that was found makes of it. A plane outside the cone that explains twice as
-much refuses the prior. So does one that explains more and is near to the best plane within: the cone cuts its road off.
+Method: the best of many planes (``hypotheses.py``) in a cloud thinned to one point per voxel, so that a facade beside
+the pole counts by its area only. It is refitted by iteratively reweighted least squares (Tukey's weight); where the
+cross section shows kerbs or a crown line (``carriageway.py``) only by the carriageway at the foot. Its plane there is
+the answer. The error is estimated by leaving out one direction after another (jackknife over sectors), and grows with
+the distance of the road that was seen and with what a second look from the plane that was found makes of it.
 """
 
 from __future__ import annotations
@@ -17,22 +14,19 @@ from itertools import pairwise
 
 import numpy as np
 
-from common.geometry import rotation_between, rotation_rpy, transform
+from common.geometry import rotation_between, transform
 from services.infra_lidar.calibration.carriageway import find_carriageway
+from services.infra_lidar.calibration.hypotheses import best_hypothesis
 from services.infra_lidar.config import CalibrationConfig
 
 VOXEL_M = 0.25
 MAX_POINTS = 6000
-SCORED_POINTS = 2000  # enough to choose a hypothesis; the refit takes all
-BELOW_COST = 3.0  # how much a point under the plane counts against one on it
 REACHES = (1.0, 1.5, 2.25)  # of the radius: what is tried in turn
 REACH_HEIGHTS = 2.2  # the carriageway is looked for this many heights away at least: 20 m from a mast of 10 m
 LANE_SCALES = (10.0, 2.0, 1.0, 0.5, 0.4)  # of the band in which the carriageway is fitted, one fit after the other
 MAX_LOSS = 0.4  # of a street's profile: streets have 0.1 to 0.3, recorded open places 0.46 to 0.58
 DOUBTFUL_LOSS = 0.45  # up to here it may still be a street: the plane it would give counts to the stated error
 GROUND_M, GROUND_SLOPE = 0.3, 0.05  # what may be ground beside the rough plane, and more with distance
-CONTRADICTION, MIN_CONTRADICTION_M = 2.0, 1.0  # a plane outside the cone refuses the prior: score ratio, distance
-ROAD_LIKE_DEG = 20.0  # so near to the best plane within it is no wall: there explaining more is enough
 NEAR_M = 8.0  # at this distance from the foot a point of the road weighs half
 ERROR_FACTOR = 2.5  # the stated error is this many jackknife errors ...
 BEND_PER_M = 2e-4  # ... and that of a road that bends with a radius of 5 km
@@ -122,7 +116,7 @@ def _calibrate_within(
     generator = np.random.default_rng(config.seed)
     if len(cloud) > MAX_POINTS:
         cloud = cloud[generator.choice(len(cloud), MAX_POINTS, replace=False)]
-    plane = _best_hypothesis(cloud, config, generator)
+    plane = best_hypothesis(cloud, config, generator)
     if isinstance(plane, str):
         return _refusal(plane)
     normal, offset, road = _refit(cloud, *plane, (2.0, 1.0, 0.6, 0.6), config.inlier_m)
@@ -145,70 +139,6 @@ def _lane(wide: np.ndarray, normal: np.ndarray, offset: float) -> tuple[np.ndarr
     low = np.abs(level[:, 2]) < GROUND_M + GROUND_SLOPE * np.hypot(level[:, 0], level[:, 1])
     lane, loss = find_carriageway(level[low]) if low.any() else (None, 1.0)
     return None if lane is None else wide[low][lane], loss
-
-
-def _best_hypothesis(
-    near: np.ndarray, config: CalibrationConfig, generator: np.random.Generator
-) -> tuple[np.ndarray, float] | str:
-    """(normal, offset) with normal . p + offset = 0 on the road, or why there is none.
-
-    Planes outside the mounting cone are scored as well: where one of them explains far more than all planes within,
-    the prior is wrong, and a wall in the cone is not taken for the road.
-    """
-    prior = rotation_rpy(np.radians(config.prior_roll_deg), np.radians(config.prior_pitch_deg), 0.0).T[:, 2]
-    a, b, c = near[generator.integers(0, len(near), (3, config.hypotheses))]
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1)
-    usable = lengths > 0.5  # the normal of a sliver of a triangle is noise
-    normals, a = normals[usable] / lengths[usable, None], a[usable]
-    offsets = -np.einsum("ij,ij->i", normals, a)
-    aside = np.abs(normals @ prior) < np.cos(np.radians(config.max_tilt_deg))
-    side = np.where(aside, offsets, normals @ prior)  # outside the cone, up is where the sensor is
-    normals, offsets = normals * np.sign(side)[:, None], offsets * np.sign(side)
-    fits = (
-        (offsets >= config.height_min_m) & (offsets <= config.height_max_m) & (~aside | (offsets > MIN_CONTRADICTION_M))
-    )
-    normals, offsets, aside = normals[fits], offsets[fits], aside[fits]
-    scores = _scores(near, normals, offsets, config.inlier_m)
-    if not len(scores):
-        return "no plane within the mounting cone"
-    within = np.where(aside, -np.inf, scores)
-    best = int(np.argmax(within))
-    road_like = normals @ normals[best] > np.cos(np.radians(ROAD_LIKE_DEG))
-    outside = np.where(aside, scores / np.where(road_like, 1.0, CONTRADICTION), -np.inf)
-    if outside.max() > max(0.0, within[best]):
-        found = _mounting_text(normals[int(outside.argmax())])
-        return f"the road was expected {_prior_text(config)}; found at {found}"
-    if not np.isfinite(within[best]):
-        return "no plane within the mounting cone"
-    return normals[best], float(offsets[best])
-
-
-def _scores(near: np.ndarray, normals: np.ndarray, offsets: np.ndarray, inlier_m: float) -> np.ndarray:
-    """Weight of the points on each plane, less those under it."""
-    sample = near[:: max(1, len(near) // SCORED_POINTS)]
-    weight = 1.0 / (1.0 + np.einsum("ij,ij->i", sample, sample) / 10.0**2)
-    scores = np.empty(len(normals))
-    for start in range(0, len(normals), 128):  # blocks that stay in cache
-        block = slice(start, start + 128)
-        height = normals[block] @ sample.T + offsets[block, None]
-        on = np.abs(height) < inlier_m
-        under = height < -3.0 * inlier_m
-        scores[block] = on @ weight - BELOW_COST * (under @ weight)
-    return scores
-
-
-def _prior_text(config: CalibrationConfig) -> str:
-    return (
-        f"within {config.max_tilt_deg:g} deg of prior_pitch_deg = {config.prior_pitch_deg:g}, "
-        f"prior_roll_deg = {config.prior_roll_deg:g}"
-    )
-
-
-def _mounting_text(normal: np.ndarray) -> str:
-    """Pitch and roll of a sensor whose level normal is ``normal``."""
-    pitch, roll = -np.arcsin(np.clip(normal[0], -1.0, 1.0)), np.arctan2(normal[1], normal[2])
-    return f"pitch {np.degrees(pitch):.0f}, roll {np.degrees(roll):.0f}: check their signs, or max_tilt_deg"
 
 
 def _refit(
