@@ -94,7 +94,10 @@ def _misfit(local: np.ndarray, direction_rad: float) -> float:
 def _profile(
     across: np.ndarray, along: np.ndarray, z: np.ndarray, strip_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Middles (S,), heights (S,) and sums of weights (S,) of the strips seen, and Tukey's loss, 0 to 1."""
+    """Middles (S,), heights (S,) and sums of weights (S,) of the strips seen, and Tukey's loss, 0 to 1.
+
+    across, along, z: (N,) float64 m, places of points across and along the street, and their heights. strip_m: width.
+    """
     strip = np.floor(across / strip_m).astype(np.int64)
     first = strip.min()
     strip -= first

@@ -67,7 +67,10 @@ def _scores(near: np.ndarray, normals: np.ndarray, offsets: np.ndarray, inlier_m
 def _weight_on_planes(
     points: np.ndarray, weight: np.ndarray, normals: np.ndarray, offsets: np.ndarray, inlier_m: float
 ) -> np.ndarray:
-    """(H,) for planes with normals (3, H) and offsets (H,); points (M, 3), weight (M,)."""
+    """(H,) score of each plane: the weight of the points near it, less that of those under it.
+
+    points (M, 3) float64 m, weight (M,); the planes have normals (3, H) and offsets (H,) in metres.
+    """
     (nx, ny, nz), scores = normals, np.zeros(len(offsets))
     for i in range(len(points)):
         x, y, z, w = points[i, 0], points[i, 1], points[i, 2], weight[i]
