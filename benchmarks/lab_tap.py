@@ -55,6 +55,7 @@ def listen(session: zenoh.Session) -> None:
     one_at_a_time = threading.Lock()
 
     def report(sample: zenoh.Sample) -> None:
+        """A line for one message; what cannot be decoded is told too."""
         at_s, topic = monotonic_s(), topics.find_topic(str(sample.key_expr))
         assert topic is not None
         try:

@@ -127,6 +127,7 @@ class InputToVerdict:
 
     def _noter(self, name: str, topic: Topic) -> Callable[[zenoh.Sample], None]:
         def note(sample: zenoh.Sample) -> None:
+            """Keep one message of ``topic``; what cannot be decoded is left out."""
             try:
                 message = decode(sample.payload.to_bytes(), topic.message)
             except DecodeError:

@@ -82,6 +82,7 @@ class Watch:
 
     def _noter(self, topic: Topic) -> Callable[[zenoh.Sample], None]:
         def note(sample: zenoh.Sample) -> None:
+            """Keep one message of ``topic`` with the time at which it came."""
             now_s = monotonic_s()
             try:
                 message = decode(sample.payload.to_bytes(), topic.message)

@@ -175,6 +175,7 @@ def _frames(names: list[Path], url: SourceUrl, report: Report, keep: bool) -> Ca
     columns = tuple(name.strip() for name in url.params.get("columns", "").split(",") if name.strip())
 
     def read() -> Iterator[Recorded]:
+        """The frames in order; one that cannot be read is named, counted and left out."""
         for path in names:
             recorded = kept.get(path)
             if recorded is None:

@@ -36,6 +36,7 @@ def varied_street_clusters(seeds: Iterable[int], steps: Steps, views: int) -> La
     """Clusters of ``views`` frames of one street per seed, which is their group. Refused calibrations are left out."""
 
     def frames() -> Iterator[tuple[int, SceneFrame]]:
+        """Each frame with its street's seed."""
         for n, seed in enumerate(seeds):
             rng = np.random.default_rng([seed, 7])
             street = varied_street(seed, OBJECTS[n % len(OBJECTS)], PLANS[n % len(PLANS)])
