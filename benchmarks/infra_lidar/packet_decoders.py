@@ -15,7 +15,7 @@ import numpy as np
 from services.infra_lidar.input import hesai, hesai_calibration, robosense, velodyne
 from services.infra_lidar.input.models import KINDS
 from services.infra_lidar.input.ouster import OusterFormat
-from services.infra_lidar.input.revolution import BATCH_PACKETS, PacketDecoder, decode_revolution
+from services.infra_lidar.input.revolution import PacketDecoder, batch_of, decode_revolution
 
 RNG = np.random.default_rng(1)
 REPEATS = 30
@@ -116,7 +116,8 @@ def measure(name: str, revolution: Revolution) -> None:
     raw, decoder, plain = revolution
     image = decode_revolution(raw, decoder)
     whole_ms = best_ms(lambda: decode_revolution(raw, decoder))
-    rest = len(raw) % BATCH_PACKETS or min(BATCH_PACKETS, len(raw))
+    batch = batch_of(raw.shape[1])
+    rest = len(raw) % batch or min(batch, len(raw))
     last_ms = best_ms(lambda: decoder.decode(raw[-rest:]))
     packet = raw[0].tobytes()
     plain_ms = best_ms(lambda: plain(packet)) * len(raw)

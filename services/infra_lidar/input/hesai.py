@@ -159,7 +159,7 @@ class _Hesai:
         version = layout.version if layout else PANDAR128_PROTOCOL[0]
         m, rpm = 0, 0
         if layout is not None:
-            rpm = int(np.median(raw[:, layout.tail_at + 13] + 256 * raw[:, layout.tail_at + 14].astype(np.int64)))
+            rpm = _median_rpm(raw, layout.tail_at + 13)
             places = np.array([layout.unit_bytes, layout.tail_at, layout.version], np.int64)
             m = _decode(raw, places, COS_SIN, RangeImageArrays(range_m, intensity, cos, sin, bank, range_m))
         return RangeImage(range_m[:m], intensity[:m], cos[:m], sin[:m], bank[:m], self._beams_at(version, rpm))
@@ -182,6 +182,15 @@ def _beams(calibration: HesaiCalibration, version: int, rpm: int) -> np.ndarray:
     flat, none = np.cos(elevation), np.zeros(turned.shape)
     direction = [flat * np.cos(turned), -flat * np.sin(turned), np.sin(elevation)]  # turns clockwise from above
     return np.stack([*direction, none, none, none, ring]).reshape(7, -1).astype(np.float32)
+
+
+@kernel
+def _median_rpm(raw: np.ndarray, at: int) -> int:
+    """Median speed of the head over packets (P, B) uint8, from the two bytes at ``at``, in revolutions per minute."""
+    rpm = np.empty(raw.shape[0], np.int64)
+    for p in range(len(rpm)):
+        rpm[p] = raw[p, at] + 256 * raw[p, at + 1]
+    return int(np.median(rpm))
 
 
 @kernel

@@ -169,12 +169,14 @@ class ParserCounts:
     def __init__(self, report: Report) -> None:
         self._report = report
         self._reported: Counter[str] = Counter()
+        self._total = 0
 
     def update(self, parser: PacketParser) -> None:
         """What has come since the last time: packets of another kind, doubled, late and damaged ones, faults."""
-        if parser.rejected + parser.order.counters.total() == self._reported.total():
+        total = parser.rejected + parser.order.counters.total()
+        if total == self._total:
             return
         now = Counter({"packet of another kind": parser.rejected}) + parser.order.counters
         for name, count in (now - self._reported).items():
             self._report.bad_input(name, count)
-        self._reported = now
+        self._reported, self._total = now, total

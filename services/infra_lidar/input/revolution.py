@@ -1,6 +1,7 @@
 """Packets to revolutions: packets are collected until the head passes the cut; losses and gaps are counted.
 
-A revolution is decoded while it comes, some packets at a time, so that little is left to do after its last packet.
+A revolution is decoded while it comes, some hundred packets at a time, so that little is left to do after its last
+packet.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ FULL_COVERAGE = 0.97  # of the directions that the sensor sends: then a revoluti
 WINDOW_REVOLUTIONS = 10  # the field of view is what was covered in any of the last revolutions, this many
 NARROWEST_DARK_DEG = 45  # gaps wider than this count as outside the window
 RECENT_PACKETS = 32  # a mirror port sends a packet again right behind itself, a switch swaps neighbours
-BATCH_PACKETS = 64  # decoded together, a tenth of a revolution
+BATCH_BYTES = 1 << 18  # of packets decoded together, a third of a revolution or less
 MAX_PACKETS = 8192  # of a revolution: a slow one with two returns has 7200. A stuck head never passes the cut
 
 
@@ -76,10 +77,16 @@ def join_rows(parts: Sequence[RangeImage]) -> RangeImage:
     )
 
 
+def batch_of(packet_bytes: int) -> int:
+    """Number of packets of this size that are decoded together."""
+    return max(1, BATCH_BYTES // max(1, packet_bytes))
+
+
 def decode_revolution(raw: np.ndarray, decoder: PacketDecoder) -> RangeImage:
     """The range image of packets (P, B) uint8, the same as if they came one by one."""
-    firsts = range(0, max(len(raw), 1), BATCH_PACKETS)
-    return join_rows([decoder.decode(raw[first : first + BATCH_PACKETS]) for first in firsts])
+    batch = batch_of(raw.shape[1])
+    firsts = range(0, max(len(raw), 1), batch)
+    return join_rows([decoder.decode(raw[first : first + batch]) for first in firsts])
 
 
 class PacketOrder:
@@ -103,12 +110,12 @@ class PacketOrder:
 
         -1: it is late, and was counted as missing before.
         """
-        if position in self._recent:
+        half = self._period // 2
+        ahead = 0 if self._newest is None else (position - self._newest + half) % self._period - half
+        if not 0 < ahead < 2 * step and position in self._recent:
             self.counters["packet doubled"] += 1
             return None
         self._recent.append(position)
-        half = self._period // 2
-        ahead = 0 if self._newest is None else (position - self._newest + half) % self._period - half
         if -RECENT_PACKETS * step < ahead < 0:
             self.counters["packet late"] += 1
             return -1
@@ -124,6 +131,7 @@ class FieldOfView:
 
     def __init__(self) -> None:
         self._recent: deque[int] = deque(maxlen=WINDOW_REVOLUTIONS)  # a bit for each degree
+        self._seen = 0  # in any of them
         self.degrees = (1 << 360) - 1  # a bit for each degree that is expected; all of them in the first revolution
 
     def add(self, covered: int) -> None:
@@ -132,6 +140,9 @@ class FieldOfView:
         seen = 0
         for degrees in self._recent:
             seen |= degrees
+        if seen == self._seen:
+            return
+        self._seen = seen
         places = [k for k in range(360) if seen >> k & 1]
         for here, following in pairwise([*places, *(k + 360 for k in places[:1])]):
             if following - here <= NARROWEST_DARK_DEG:
@@ -152,6 +163,7 @@ class RevolutionAssembler:
     def __init__(self, decoder: PacketDecoder) -> None:
         self._decoder = decoder
         self._packets: list[bytes] = []
+        self._undecoded = 0  # the newest of them
         self._parts: list[RangeImage] = []
         self._covered = 0  # a bit for each degree
         self._view = FieldOfView()
@@ -165,8 +177,9 @@ class RevolutionAssembler:
         -1: it is one of those that were missing. What lies outside the sensor's field of view is not lost.
         """
         self._packets.append(packet)
-        if len(self._packets) % BATCH_PACKETS == 0:
-            self._decode(BATCH_PACKETS)
+        self._undecoded += 1
+        if self._undecoded == batch_of(len(packet)):
+            self._decode()
         first, last = int(first_deg), int(last_deg)
         if first <= last:
             self._covered |= (2 << last) - (1 << first)
@@ -184,8 +197,8 @@ class RevolutionAssembler:
         """The revolution that ends here; None if no packet has come since the last one."""
         if not self._packets:
             return None
-        if len(self._packets) % BATCH_PACKETS:
-            self._decode(len(self._packets) % BATCH_PACKETS)
+        if self._undecoded:
+            self._decode()
         expected = self._view.degrees
         turned = not self.full  # else the head is stuck
         complete = turned and (self._covered & expected).bit_count() >= FULL_COVERAGE * expected.bit_count()
@@ -198,5 +211,6 @@ class RevolutionAssembler:
         self._packets, self._parts, self._lost, self._covered, self._stamp_ns = [], [], 0, 0, 0
         return revolution
 
-    def _decode(self, newest: int) -> None:
-        self._parts.append(self._decoder.decode(stack_packets(self._packets[-newest:])))
+    def _decode(self) -> None:
+        self._parts.append(self._decoder.decode(stack_packets(self._packets[-self._undecoded :])))
+        self._undecoded = 0

@@ -189,13 +189,14 @@ def _beams(angles: RobosenseAngles, plus: bool, speed_deg_per_s: float) -> np.nd
     return np.stack([*direction, *origin, ring]).astype(np.float32)
 
 
+@kernel
 def _head_speed_deg_per_s(raw: np.ndarray) -> float:
     """Median speed of the head over packets (P, 1248) uint8, from the azimuths of their blocks."""
-    if not len(raw):
-        return 0.0
-    first, middle, last = (256 * raw[:, at + 2].astype(np.int64) + raw[:, at + 3] for at in BLOCKS_AT)
-    steps = np.where((first == middle) | (middle == last), 1.0, 2.0)
-    return float(np.median((last - first) % 36000 / steps)) / (100.0 * BLOCK_US * 1e-6)
+    steps = np.empty(raw.shape[0], np.float64)  # 0.01 degree
+    for p in range(len(steps)):
+        first, middle, last = [256 * raw[p, at + 2] + raw[p, at + 3] for at in BLOCKS_AT]
+        steps[p] = (last - first) % 36000 / (1.0 if middle in (first, last) else 2.0)
+    return np.median(steps) / (100.0 * BLOCK_US * 1e-6) if len(steps) else 0.0
 
 
 @kernel

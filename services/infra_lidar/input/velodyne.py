@@ -100,15 +100,15 @@ def _beams(speed_deg_per_s: float) -> np.ndarray:
     return np.stack([*direction, none, none, -FOCUS_M * np.tan(_ELEVATION), RING]).astype(np.float32)
 
 
+@kernel
 def _head_speed_deg_per_s(raw: np.ndarray) -> float:
     """Median speed of the head over packets (P, 1206) uint8, from the azimuths in each, or from one to the next."""
-    if not len(raw):
-        return 0.0
-    azimuth = raw[:, [2, 3, 1102, 1103]].astype(np.int64)
-    first, last = azimuth[:, 0] + 256 * azimuth[:, 1], azimuth[:, 2] + 256 * azimuth[:, 3]
-    one = raw[0, MODE_AT] == DUAL_RETURN  # a packet is one firing sequence, else three
-    steps = np.diff(first) % 36000 if one else (last - first) % 36000 / 2.0
-    return float(np.median(steps)) / (100.0 * CYCLE_US * 1e-6) if len(steps) else 0.0
+    one = raw.shape[0] > 0 and raw[0, MODE_AT] == DUAL_RETURN  # a packet is one firing sequence, else three
+    steps = np.empty(max(raw.shape[0] - 1, 0) if one else raw.shape[0], np.float64)  # 0.01 degree
+    for p in range(len(steps)):
+        here, there = raw[p, 2] + 256 * raw[p, 3], raw[p, 1102] + 256 * raw[p, 1103]
+        steps[p] = (raw[p + 1, 2] + 256 * raw[p + 1, 3] - here) % 36000 if one else (there - here) % 36000 / 2.0
+    return np.median(steps) / (100.0 * CYCLE_US * 1e-6) if len(steps) else 0.0
 
 
 @kernel

@@ -3,7 +3,7 @@
 import numpy as np
 
 from services.infra_lidar.input.ouster import OusterFormat, OusterParser
-from services.infra_lidar.input.revolution import BATCH_PACKETS, MAX_PACKETS, decode_revolution, stack_packets
+from services.infra_lidar.input.revolution import MAX_PACKETS, batch_of, decode_revolution, stack_packets
 from services.infra_lidar.input.velodyne import DECODER, Vls128Parser
 from tests.infra_lidar.made_packets import metadata, ouster_packet, vls_packet
 
@@ -32,7 +32,8 @@ def test_a_revolution_that_is_decoded_while_it_comes_is_the_same_as_at_once():
 
 def test_a_revolution_of_any_number_of_packets_is_decoded():
     raw = stack_packets(_packets(1))
-    for packets in (0, 1, BATCH_PACKETS, BATCH_PACKETS + 1):
+    batch = batch_of(raw.shape[1])
+    for packets in (0, 1, batch, batch + 1, 600):
         image = decode_revolution(raw[:packets], DECODER)
         assert len(image) == image.returns == packets * 384
 
