@@ -24,9 +24,13 @@ _DRILL_SHIFT_NS, _DRILL_FROM_S = _drill_shift()
 
 def utc_ns() -> int:
     """UTC nanoseconds since 1970: for stamps only."""
-    if _DRILL_SHIFT_NS and time.monotonic() >= _DRILL_FROM_S:
-        return time.time_ns() + _DRILL_SHIFT_NS
-    return time.time_ns()
+    return utc_of_kernel(time.time_ns())
+
+
+def utc_of_kernel(stamp_ns: int) -> int:
+    """UTC nanoseconds of a stamp that the kernel has just made, for example of a packet."""
+    shifted = _DRILL_SHIFT_NS and time.monotonic() >= _DRILL_FROM_S
+    return stamp_ns + _DRILL_SHIFT_NS if shifted else stamp_ns
 
 
 def monotonic_s() -> float:

@@ -6,12 +6,13 @@ import queue
 import socket
 import struct
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from ipaddress import IPv4Address
 
 from common.bus.status import Report
-from common.clock import monotonic_s, utc_ns
+from common.clock import monotonic_s, utc_of_kernel
 from common.config import ConfigError
 from common.source_url import SourceUrl, port_in
 from services.infra_lidar.input.arrivals import Arrivals
@@ -23,6 +24,12 @@ from services.infra_lidar.input.spinning import PacketParser
 
 RECEIVE_BUFFER_BYTES = 8 << 20  # a fifth of a second of a 128-beam sensor
 SILENCE_S = 1.0
+READ_EVERY_S = 0.005  # waking up for a packet takes longer than reading it
+READ_AT_ONCE = 4096  # packets, more than any sensor sends in this time
+MAX_PACKET_BYTES = 65535
+STAMP_PACKETS = 35  # Linux's SO_TIMESTAMPNS, which Python does not name: the kernel stamps what comes
+STAMP = struct.Struct("@ll")  # seconds, nanoseconds
+STAMP_SPACE = socket.CMSG_SPACE(STAMP.size)
 WAITING_FRAMES = 2  # older ones are dropped: a late frame is worth less than the next
 
 
@@ -115,6 +122,7 @@ class Receiver:
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
         timeout = struct.pack("@ll", 0, 200_000)  # the kernel's: Python's asks it twice for every packet
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, timeout)
+        self._socket.setsockopt(socket.SOL_SOCKET, STAMP_PACKETS, 1)
         try:
             group = _is_group(host)
             self._socket.bind(("" if group else host, port))
@@ -164,24 +172,37 @@ class Receiver:
             self._failure = error
 
     def _receive(self) -> None:
-        buffer = bytearray(65536)
+        """Take the packets that have come, then let more of them come."""
         while not self._stop.is_set():
+            for packet, address, stamp_ns in self._arrived():
+                if address == self._sender or not self._is_stranger(address, packet):
+                    self._take(address, packet, stamp_ns)
+            time.sleep(READ_EVERY_S)
+
+    def _arrived(self) -> Iterator[tuple[bytes, str, int]]:
+        """Packets with their senders and the UTC ns at which they came. Waits for the first one, at most the time-out.
+
+        Raises:
+            OSError: the socket is of no more use.
+        """
+        flags = 0
+        for _ in range(READ_AT_ONCE):
             try:
-                length, (address, *_) = self._socket.recvfrom_into(buffer)
+                packet, stamp, _, (address, *_) = self._socket.recvmsg(MAX_PACKET_BYTES, STAMP_SPACE, flags)
             except BlockingIOError:
-                continue  # nothing came in time
+                return  # nothing came in time, or nothing more is there
             except OSError:
                 if self._stop.is_set():
                     return  # closed
                 raise
-            packet = bytes(memoryview(buffer)[:length])
-            if not self._is_stranger(address, packet):
-                self._take(address, packet)
+            second, nanosecond = STAMP.unpack(stamp[0][2])
+            yield packet, address, utc_of_kernel(second * 1_000_000_000 + nanosecond)
+            flags = socket.MSG_DONTWAIT
 
-    def _take(self, address: str, packet: bytes) -> None:
+    def _take(self, address: str, packet: bytes, stamp_ns: int) -> None:
         """A packet of the sensor."""
         rejected = self._parser.rejected
-        revolution = self._parser.feed(packet, utc_ns())
+        revolution = self._parser.feed(packet, stamp_ns)
         if self._parser.rejected > rejected:
             self._arrivals.unfit(address, packet)
         else:
@@ -193,9 +214,10 @@ class Receiver:
             self._offer(revolution)
 
     def _is_stranger(self, address: str, packet: bytes) -> bool:
-        """Whether the packet is not the sensor's: of another sender or of another kind. It is counted."""
-        if address == self._sender:
-            return False
+        """Whether a packet of another sender than the sensor is to be left out; it is counted.
+
+        As long as there is no sensor, the first sender of fitting packets becomes it.
+        """
         if not self._sender and self._parser.accepts(packet):
             self._sender = address
             return False

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import queue
 import socket
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import pytest
 
 from common.bus.status import Report
+from common.clock import utc_ns
 from services.infra_lidar.input import live_packets
 from services.infra_lidar.input.arrivals import Arrivals
 from services.infra_lidar.input.hesai_calibration import as_metadata
@@ -116,6 +118,33 @@ def test_an_error_in_the_receiving_thread_reaches_who_waits() -> None:
             any(receiver.next(0.05) for _ in range(400))  # again and again, as the source does
         with pytest.raises(ZeroDivisionError, match="unthought of"):
             receiver.next(0.0)
+
+
+class HeldParser(Vls128Parser):
+    """It is busy with a packet until it is released."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stamps_ns: list[int] = []
+        self.released = threading.Event()
+
+    def feed(self, packet: bytes, stamp_ns: int) -> Revolution | None:
+        self.stamps_ns.append(stamp_ns)
+        self.released.wait(20.0)
+        return None
+
+
+def test_a_packet_has_the_stamp_of_its_arrival_however_late_it_is_read(until: Callable[..., None]) -> None:
+    parser, began_ns = HeldParser(), utc_ns()
+    with received(parser, "", Report("test")) as (_, send):
+        send(vls_packet(0.0))
+        until(lambda: len(parser.stamps_ns) == 1)
+        send(vls_packet(1.0, time_us=166))  # on this machine it has come when it was sent
+        came_ns = utc_ns()
+        parser.released.set()
+        until(lambda: len(parser.stamps_ns) == 2)
+    first_ns, second_ns = parser.stamps_ns
+    assert began_ns <= first_ns <= second_ns <= came_ns
 
 
 class TakenInBetween(queue.Queue[Revolution]):
