@@ -37,7 +37,6 @@ from spotter_sim import lidar128
 START_S, LEARN_S, SETTLE_S = 6.0, 5.0, 12.0  # imports and kernels; the background; until it counts
 REVOLUTIONS, FIRST_T_S = 20, 3.0
 COLUMNS = {10: 1809, 20: 903}
-BURST = 6  # packets that are sent at a time: a millisecond
 
 
 @dataclass
@@ -83,14 +82,11 @@ def send(port: int, rate_hz: int, seconds: float) -> None:
             left_s = started_s + sent * period_s - time.monotonic()
             if left_s > 0:
                 time.sleep(left_s)
-            for _ in range(BURST):
-                packet = packets[sent % len(packets)]
-                packet[1200:1204] = np.frombuffer(
-                    (round(sent * period_s * 1e6) % 3_600_000_000).to_bytes(4, "little"), np.uint8
-                )
-                with suppress(ConnectionRefusedError):  # nobody listens yet, or no longer
-                    out.send(packet.data)
-                sent += 1
+            packet, time_us = packets[sent % len(packets)], round(sent * period_s * 1e6) % 3_600_000_000
+            packet[1200:1204] = np.frombuffer(time_us.to_bytes(4, "little"), np.uint8)
+            with suppress(ConnectionRefusedError):  # nobody listens yet, or no longer
+                out.send(packet.data)
+            sent += 1
     print(sent, flush=True)
 
 
