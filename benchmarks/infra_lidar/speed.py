@@ -213,7 +213,7 @@ def memory() -> None:
     for k in range(14):
         pipeline.process(START_NS + k * 100_000_000, frame.points)
     model = pipeline.scene.background.model
-    kept = (model.intervals_m, model.is_road, model.surface, model.static_map) if model else ()
+    kept = (model.intervals, model.is_road, model.surface, model.static_map) if model else ()
     print(
         f"\nkept between frames: {pipeline.scene.ground.nbytes / 1e6:.1f} MB of polar grid and road map, "
         f"{sum(array.nbytes for array in kept) / 1e6:.1f} MB of background"

@@ -32,7 +32,7 @@ from services.jetson.fusion.evidence import FusionMemory
 from services.jetson.fusion.store import Saved, this_boot
 from services.jetson.fusion.store import Store as FusionStore
 
-ARRAYS = {"intervals_m": np.zeros((1, 4, 128), np.float32), "is_road": np.zeros(128, bool)}
+ARRAYS = {"intervals": np.zeros((1, 4, 128), np.uint16), "is_road": np.zeros(128, bool)}
 BACKGROUND = BackgroundModel(
     columns=1, rows=128, background_ratio=0.5, surface=np.zeros((1, 1, 3), np.float32), **ARRAYS
 )

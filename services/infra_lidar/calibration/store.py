@@ -116,7 +116,7 @@ def read_background(path: Path) -> BackgroundModel:
         arrays = {f.name: file[f.name] for f in fields(BackgroundModel)}
     model = BackgroundModel(**{name: array if array.ndim else array.item() for name, array in arrays.items()})
     cells = model.columns * model.rows
-    for name, shape, kind in (("intervals_m", (cells // BLOCK, 4, BLOCK), np.float32), ("is_road", (cells,), np.bool_)):
+    for name, shape, kind in (("intervals", (cells // BLOCK, 4, BLOCK), np.uint16), ("is_road", (cells,), np.bool_)):
         found = getattr(model, name)
         if found.shape != shape or found.dtype != kind:
             raise ValueError(f"{name}: expected {np.dtype(kind)} {shape}, found {found.dtype} {found.shape}")

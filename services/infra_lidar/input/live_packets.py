@@ -24,7 +24,7 @@ from services.infra_lidar.input.spinning import PacketParser
 
 RECEIVE_BUFFER_BYTES = 8 << 20  # a fifth of a second of a 128-beam sensor
 SILENCE_S = 1.0
-READ_EVERY_S = 0.005  # waking up for a packet takes longer than reading it
+READ_EVERY_S = 0.01  # waking up for a packet takes longer than reading it
 READ_AT_ONCE = 4096  # packets, more than any sensor sends in this time
 MAX_PACKET_BYTES = 65535
 STAMP_PACKETS = 35  # Linux's SO_TIMESTAMPNS, which Python does not name: the kernel stamps what comes
@@ -174,9 +174,13 @@ class Receiver:
     def _receive(self) -> None:
         """Take the packets that have come, then let more of them come."""
         while not self._stop.is_set():
+            fitting = False
             for packet, address, stamp_ns in self._arrived():
                 if address == self._sender or not self._is_stranger(address, packet):
-                    self._take(address, packet, stamp_ns)
+                    fitting = self._take(address, packet, stamp_ns) or fitting
+            if fitting:
+                self._arrivals.fitting(monotonic_s())
+            self._counts.update(self._parser)
             time.sleep(READ_EVERY_S)
 
     def _arrived(self) -> Iterator[tuple[bytes, str, int]]:
@@ -199,19 +203,19 @@ class Receiver:
             yield packet, address, utc_of_kernel(second * 1_000_000_000 + nanosecond)
             flags = socket.MSG_DONTWAIT
 
-    def _take(self, address: str, packet: bytes, stamp_ns: int) -> None:
-        """A packet of the sensor."""
+    def _take(self, address: str, packet: bytes, stamp_ns: int) -> bool:
+        """A packet of the sensor; whether it could be used."""
         rejected = self._parser.rejected
         revolution = self._parser.feed(packet, stamp_ns)
         if self._parser.rejected > rejected:
             self._arrivals.unfit(address, packet)
-        else:
-            self._arrivals.fitting(monotonic_s())
-        self._counts.update(self._parser)
+            return False
         if revolution is not None:
+            self._counts.update(self._parser)
             count_losses(revolution.quality, self._report)
             self._arrivals.forget()
             self._offer(revolution)
+        return True
 
     def _is_stranger(self, address: str, packet: bytes) -> bool:
         """Whether a packet of another sender than the sensor is to be left out; it is counted.

@@ -183,9 +183,9 @@ class RevolutionAssembler:
         first, last = int(first_deg), int(last_deg)
         if first <= last:
             self._covered |= (2 << last) - (1 << first)
-        expected = round(lost * self._view.share(self._last_deg, first_deg)) if lost > 0 else lost
+        if lost:
+            self._lost += round(lost * self._view.share(self._last_deg, first_deg)) if lost > 0 else lost
         self._last_deg = last_deg
-        self._lost += expected
         self._stamp_ns = max(stamp_ns, self._stamp_ns)
 
     @property

@@ -95,27 +95,31 @@ class SpinningParser:
         if head is None:
             self.rejected += 1
             return None
-        lost = self.order.missing(head.position, head.step)
+        first_deg, last_deg, position, step = head
+        lost = self.order.missing(position, step)
         if lost is None:
             return None
-        first_deg = (head.first_deg - self._cut_deg) % 360.0
-        last_deg = (head.last_deg - self._cut_deg) % 360.0
-        late = lost < 0
-        if late and (first_deg > self._previous_deg + 180.0 or len(packet) != self._size):
-            return None  # its revolution has ended
-        back = first_deg < self._previous_deg - BACK_DEG and not late  # a window in the sensor ends anywhere
+        first_deg, last_deg = (first_deg - self._cut_deg) % 360.0, (last_deg - self._cut_deg) % 360.0
         changed = len(packet) != self._size  # the sensor has been set to another layout
-        ended = self.assembler.finish() if back or changed or self.assembler.full else None
-        if not late:
+        if lost < 0:
+            back = False  # late
+            if first_deg > self._previous_deg + 180.0 or changed:
+                return None  # its revolution has ended
+        else:
+            back = first_deg < self._previous_deg - BACK_DEG  # a window in the sensor ends anywhere
             self._watch_direction(first_deg - self._previous_deg)
             self._previous_deg = first_deg
+        ended = self.assembler.finish() if back or changed or self.assembler.full else None
         self._size = len(packet)
         self.assembler.add(packet, first_deg, last_deg, stamp_ns, lost)
         return ended
 
     def _watch_direction(self, step_deg: float) -> None:
         """Count, once in BACKWARD_PACKETS, that the head turns the other way, in which revolutions cannot be cut."""
-        self._backward = self._backward + 1 if -BACK_DEG <= step_deg < 0.0 else 0 if step_deg > 0.0 else self._backward
+        if step_deg > 0.0:
+            self._backward = 0
+        elif -BACK_DEG <= step_deg < 0.0:
+            self._backward += 1
         if self._backward == BACKWARD_PACKETS:
             self.order.counters[WRONG_WAY] += 1
             self._backward = 0

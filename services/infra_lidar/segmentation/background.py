@@ -30,15 +30,15 @@ LOST_FRAMES = 20
 class BackgroundModel:
     """What is kept on disk.
 
-    intervals_m: (columns * rows / BLOCK, 4, BLOCK) float32, near and far end of two intervals of range in each cell of
-    azimuth x ring; those of BLOCK cells lie together.
+    intervals: (columns * rows / BLOCK, 4, BLOCK) uint16, near and far end of two intervals of range in each cell of
+    azimuth x ring, in steps of STEP_M; those of BLOCK cells lie together.
     is_road: (columns * rows,) bool, the background there is road. background_ratio: share of the returns that were
     background in the last frame of the learning. surface: (rings, sectors, 3) float32, the road at the time, as in
     ``ground.py``. static_map: (2, side, side) bool as in ``static_map.MapCells``. drops: (rings, sectors) bool as in
     ``drops.py``. Both are empty until they are drawn.
     """
 
-    intervals_m: np.ndarray
+    intervals: np.ndarray
     is_road: np.ndarray
     columns: int
     rows: int
@@ -164,8 +164,7 @@ class Background:
         intervals_m[users] = kernels.EMPTY * 2
         is_road = np.zeros(len(users), bool)
         is_road[road_cells] = True
-        blocks = np.ascontiguousarray(intervals_m.reshape(-1, kernels.BLOCK, 4).transpose(0, 2, 1))
-        model = BackgroundModel(blocks, is_road, *self._grid, 1.0, surface)
+        model = BackgroundModel(_in_blocks(intervals_m), is_road, *self._grid, 1.0, surface)
         ratio = foreground_of(returns, model, 0.0).background_ratio
         self.model, self._modes = replace(model, background_ratio=ratio), None
 
@@ -174,9 +173,9 @@ def foreground_of(returns: Returns, model: BackgroundModel, near_m: float) -> Fo
     """Returns that do not lie within the ranges of a model; ``near_m``: distance below which returns count as near."""
     if isinstance(returns, RangeImage):
         first = _first_cells(returns, model.columns)
-        return Foreground(*kernels.foreground_of_image(returns.arrays, first, model.intervals_m, near_m))
+        return Foreground(*kernels.foreground_of_image(returns.arrays, first, model.intervals, near_m))
     points = np.ascontiguousarray(returns, np.float32)
-    return Foreground(*kernels.foreground_of_points(points, _azimuth(points), model.grid, model.intervals_m, near_m))
+    return Foreground(*kernels.foreground_of_points(points, _azimuth(points), model.grid, model.intervals, near_m))
 
 
 def locate(returns: Returns, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
@@ -214,6 +213,14 @@ def _no_modes(grid: Grid) -> RangeModes:
         road_user_frames=np.zeros(size, np.uint16), latest=np.zeros(cells, np.uint8),
         switches=np.zeros(cells, np.uint16),
     )  # fmt: skip
+
+
+def _in_blocks(intervals_m: np.ndarray) -> np.ndarray:
+    """Intervals (cells, 4) float32 m as ``BackgroundModel`` keeps them, rounded so that none becomes narrower."""
+    steps = np.empty(intervals_m.shape, np.uint16)
+    steps[:, ::2] = np.floor(intervals_m[:, ::2] / kernels.STEP_M).clip(0, 65535)
+    steps[:, 1::2] = np.ceil(intervals_m[:, 1::2] / kernels.STEP_M).clip(0, 65535)
+    return np.ascontiguousarray(steps.reshape(-1, kernels.BLOCK, 4).transpose(0, 2, 1))
 
 
 def _with_neighbours(users: np.ndarray, grid: Grid) -> np.ndarray:

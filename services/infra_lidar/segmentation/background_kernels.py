@@ -20,6 +20,7 @@ ROWS_PER_RAD = 256.0  # 0.22 degrees, for clouds without a ring column
 NO_RETURN = -1
 BLOCK = 128  # cells whose intervals lie together in memory: those of a column, where a sensor has 128 beams
 EMPTY = (1.0, 0.0)  # an interval that holds no range
+STEP_M = 0.008  # of the ends of intervals: two bytes reach to 524 m, and each frame reads all of them
 
 
 class Grid(NamedTuple):
@@ -180,19 +181,19 @@ def _interval(modes: RangeModes, c: int, mode: int, tolerance: Tolerance) -> tup
 
 @kernel
 def foreground_of_points(
-    points: np.ndarray, azimuth: np.ndarray, grid: Grid, intervals_m: np.ndarray, near_m: float
+    points: np.ndarray, azimuth: np.ndarray, grid: Grid, intervals: np.ndarray, near_m: float
 ) -> tuple[np.ndarray, np.ndarray, int, int]:
     """Points, index, returns and near of ``background.Foreground`` for points and azimuth as ``locate`` takes them.
 
-    intervals_m: (blocks, 4, BLOCK) as in ``background.BackgroundModel``.
+    intervals: (blocks, 4, BLOCK) as in ``background.BackgroundModel``.
     """
     cell, range_m = locate(points, azimuth, grid)
     n, returns, near = len(points), np.int32(0), np.int32(0)
     is_foreground = np.empty(n, np.bool_)
     for i in range(n):
         r, is_return, c = range_m[i], cell[i] != NO_RETURN, np.uint32(max(cell[i], np.int32(0)))
-        block, b = intervals_m[c // np.uint32(BLOCK)], c % np.uint32(BLOCK)
-        known = ((r >= block[0, b]) & (r <= block[1, b])) | ((r >= block[2, b]) & (r <= block[3, b]))
+        block, b, steps = intervals[c // np.uint32(BLOCK)], c % np.uint32(BLOCK), r * np.float32(1.0 / STEP_M)
+        known = ((steps >= block[0, b]) & (steps <= block[1, b])) | ((steps >= block[2, b]) & (steps <= block[3, b]))
         is_foreground[i] = is_return & (not known)
         returns += np.int32(is_return)
         near += np.int32(is_return & (r < near_m))
@@ -224,14 +225,14 @@ def _places(mask: np.ndarray) -> np.ndarray:
 
 @kernel
 def foreground_of_image(
-    image: RangeImageArrays, first: np.ndarray, intervals_m: np.ndarray, near_m: float
+    image: RangeImageArrays, first: np.ndarray, intervals: np.ndarray, near_m: float
 ) -> tuple[np.ndarray, np.ndarray, int, int]:
     """The same for a range image; first: (R,) int cell of the first range of each row, the others of a row follow."""
     rows, width = image.range_m.shape
     is_foreground, returns, near = np.empty(rows * width, np.bool_), 0, 0
     for row in range(rows):
         out = is_foreground[row * width : (row + 1) * width]
-        block, begin = intervals_m[first[row] // BLOCK], first[row] % BLOCK
+        block, begin = intervals[first[row] // BLOCK], first[row] % BLOCK
         row_returns, row_near = _compare_row(image.range_m[row], block, begin, np.float32(near_m), out)
         returns, near = returns + row_returns, near + row_near
     index = _places(is_foreground)
@@ -252,9 +253,9 @@ def _compare_row(
     near_1, far_1, near_2, far_2 = block[0, begin:end], block[1, begin:end], block[2, begin:end], block[3, begin:end]
     returns, near = np.int32(0), np.int32(0)
     for i in range(len(range_m)):
-        r = range_m[i]
+        r, steps = range_m[i], range_m[i] * np.float32(1.0 / STEP_M)
         is_return = (r > MIN_RANGE_M) & (r < MAX_RANGE_M)
-        known = ((r >= near_1[i]) & (r <= far_1[i])) | ((r >= near_2[i]) & (r <= far_2[i]))
+        known = ((steps >= near_1[i]) & (steps <= far_1[i])) | ((steps >= near_2[i]) & (steps <= far_2[i]))
         is_foreground[i] = is_return & (not known)
         returns += np.int32(is_return)
         near += np.int32(is_return & (r < near_m))
