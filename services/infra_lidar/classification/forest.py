@@ -23,13 +23,14 @@ class ModelError(ConfigError):
     """The model file is not what it says it is; the text says why."""
 
 
-_NODE = np.dtype([("feature", "u4"), ("threshold", "f4"), ("left", "u4"), ("right", "u4")])
+_NODE = np.dtype([("threshold", "f4"), ("feature", "u4"), ("child", "u4")])
 
 
 class _Trees(NamedTuple):
     """The nodes as the compiled loop takes them: nodes (N,) of ``_NODE``, so that a step reads one place in memory.
 
-    Whole numbers are unsigned: of a signed index Numba asks each time whether it counts from the end.
+    The right child lies behind the left one, which is ``child``. A leaf is its own child, and nothing is above its
+    threshold. Whole numbers are unsigned: of a signed index Numba asks each time whether it counts from the end.
     """
 
     nodes: np.ndarray
@@ -61,10 +62,11 @@ class Forest:
 
     @cached_property
     def _trees(self) -> _Trees:
-        nodes = np.empty(len(self.feature), _NODE)
-        for name in _NODE.names or ():
-            nodes[name] = getattr(self, name)
-        return _Trees(nodes, self.leaf.astype(np.uint32), self.value, self.root.astype(np.uint32))
+        order, child, root = _siblings_together(self.left, self.right, self.root)
+        nodes = np.empty(len(order), _NODE)
+        nodes["feature"], nodes["child"] = self.feature[order], child
+        nodes["threshold"] = np.where(child == np.arange(len(order)), np.inf, self.threshold[order])
+        return _Trees(nodes, self.leaf[order].astype(np.uint32), self.value, root)
 
     def shares(self, x: np.ndarray) -> np.ndarray:
         """(K, F) float32 features to (K, C) float32 class shares (uncalibrated): the mean of the trees' shares, or the
@@ -119,6 +121,30 @@ class Forest:
             part.unlink(missing_ok=True)
 
 
+def _siblings_together(
+    left: np.ndarray, right: np.ndarray, root: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes tree by tree, level by level, so that the right child of each follows the left one.
+
+    left, right: (N,) children of each node, as in ``Forest``; root: (T,). Returns order (N,), which node comes at each
+    place, child (N,) uint32, the place of its left child, of a leaf its own, and the places of the roots (T,) uint32.
+    """
+    order: list[int] = []
+    child: list[int] = []
+    roots = []
+    for first in root.tolist():
+        roots.append(len(order))
+        order.append(first)
+        for place in range(roots[-1], len(left)):
+            if place == len(order):
+                break  # the tree ends here
+            node = order[place]
+            is_leaf = left[node] == node
+            child.append(place if is_leaf else len(order))
+            order += [] if is_leaf else [left[node], right[node]]
+    return np.array(order), np.array(child, np.uint32), np.array(roots, np.uint32)
+
+
 def calibrated(shares: np.ndarray, curve_x: np.ndarray, curve_y: np.ndarray) -> np.ndarray:
     """(K, C) class shares of the trees to probabilities of the same type, each row sums to 1.
 
@@ -149,8 +175,7 @@ def _sum_values(x: np.ndarray, trees: _Trees, out: np.ndarray) -> None:
                 k = walking[j]
                 at = node[k]
                 here = trees.nodes[at]
-                goes_right = values[k * width + here.feature] > here.threshold
-                node[k] = here.right if goes_right else here.left
+                node[k] = here.child + np.uint32(values[k * width + here.feature] > here.threshold)
                 walking[still] = k
                 still += np.uint32(node[k] != at)
             left = still
