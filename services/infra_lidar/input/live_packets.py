@@ -12,7 +12,7 @@ from contextlib import suppress
 from ipaddress import IPv4Address
 
 from common.bus.status import Report
-from common.clock import monotonic_s, utc_of_kernel
+from common.clock import monotonic_s, utc_ns, utc_of_kernel
 from common.config import ConfigError
 from common.source_url import SourceUrl, port_in
 from services.infra_lidar.input.arrivals import Arrivals
@@ -98,6 +98,14 @@ def _address_of(host: str) -> str:
         return socket.gethostbyname(host) if host else ""
     except OSError:
         return ""
+
+
+def _arrival_ns(stamps: list[tuple[int, int, bytes]]) -> int:
+    """UTC ns at which a packet came, as the kernel says beside it; now, where it says nothing."""
+    if not stamps:
+        return utc_ns()
+    second, nanosecond = STAMP.unpack(stamps[0][2])
+    return utc_of_kernel(second * 1_000_000_000 + nanosecond)
 
 
 class Receiver:
@@ -192,15 +200,14 @@ class Receiver:
         flags = 0
         for _ in range(READ_AT_ONCE):
             try:
-                packet, stamp, _, (address, *_) = self._socket.recvmsg(MAX_PACKET_BYTES, STAMP_SPACE, flags)
+                packet, stamps, _, (address, *_) = self._socket.recvmsg(MAX_PACKET_BYTES, STAMP_SPACE, flags)
             except BlockingIOError:
                 return  # nothing came in time, or nothing more is there
             except OSError:
                 if self._stop.is_set():
                     return  # closed
                 raise
-            second, nanosecond = STAMP.unpack(stamp[0][2])
-            yield packet, address, utc_of_kernel(second * 1_000_000_000 + nanosecond)
+            yield packet, address, _arrival_ns(stamps)
             flags = socket.MSG_DONTWAIT
 
     def _take(self, address: str, packet: bytes, stamp_ns: int) -> bool:

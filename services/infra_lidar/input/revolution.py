@@ -131,7 +131,7 @@ class FieldOfView:
 
     def __init__(self) -> None:
         self._recent: deque[int] = deque(maxlen=WINDOW_REVOLUTIONS)  # a bit for each degree
-        self._seen = 0  # in any of them
+        self._seen = -1  # in any of them
         self.degrees = (1 << 360) - 1  # a bit for each degree that is expected; all of them in the first revolution
 
     def add(self, covered: int) -> None:

@@ -63,6 +63,19 @@ def test_an_empty_scene_is_background_after_learning():
     assert np.array_equal(foreground.points, points[foreground.index, :3])
 
 
+@pytest.mark.parametrize(("wall_m", "share"), [(2.0, 1.0), (30.0, 1.0), (250.0, 1.0), (510.0, 1.0), (600.0, 0.0)])
+def test_a_wall_is_background_at_any_distance_that_is_kept(wall_m, share):
+    """Two bytes in steps of 8 mm reach to 524 m; what is beyond stays visible, it does not come back as near."""
+    background = Background(CONFIG)
+    for k in range(25):
+        points = _frame(k, wall_m)
+        if background.model is None:
+            background.learn(int(k * 1e8), points, points[:, 2] < -4.8, np.zeros(len(points), bool), NO_SURFACE)
+    points = _frame(99, wall_m)
+    wall = points[:, 2] > 0.0
+    assert _background_mask(background, points).mask[wall].mean() == pytest.approx(share, abs=0.01)
+
+
 def test_an_obstacle_that_stops_is_never_hidden():
     background = _learned()
     for k in range(200, 300):
