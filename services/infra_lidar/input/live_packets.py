@@ -24,7 +24,7 @@ from services.infra_lidar.input.spinning import PacketParser
 
 RECEIVE_BUFFER_BYTES = 8 << 20  # a fifth of a second of a 128-beam sensor
 SILENCE_S = 1.0
-READ_EVERY_S = 0.01  # waking up for a packet takes longer than reading it
+READ_EVERY_S = 0.01  # more often takes more of the processor: waking up for a packet takes longer than reading it
 READ_AT_ONCE = 4096  # packets, more than any sensor sends in this time
 MAX_PACKET_BYTES = 65535
 STAMP_PACKETS = 35  # Linux's SO_TIMESTAMPNS, which Python does not name: the kernel stamps what comes
@@ -130,7 +130,8 @@ class Receiver:
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
         timeout = struct.pack("@ll", 0, 200_000)  # the kernel's: Python's asks it twice for every packet
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, timeout)
-        self._socket.setsockopt(socket.SOL_SOCKET, STAMP_PACKETS, 1)
+        with suppress(OSError):  # a system without it: packets have the time at which they are read
+            self._socket.setsockopt(socket.SOL_SOCKET, STAMP_PACKETS, 1)
         try:
             group = _is_group(host)
             self._socket.bind(("" if group else host, port))

@@ -20,7 +20,7 @@ ROWS_PER_RAD = 256.0  # 0.22 degrees, for clouds without a ring column
 NO_RETURN = -1
 BLOCK = 128  # cells whose intervals lie together in memory: those of a column, where a sensor has 128 beams
 EMPTY = (1.0, 0.0)  # an interval that holds no range
-STEP_M = 0.008  # of the ends of intervals: two bytes reach to 524 m, and each frame reads all of them
+STEP_M = 0.008  # of the ends of intervals: two bytes reach to 524 m; what is farther is never background
 
 
 class Grid(NamedTuple):
