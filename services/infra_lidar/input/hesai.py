@@ -135,7 +135,7 @@ def hesai_format(metadata: str) -> SensorFormat:
         CalibrationError: it is no calibration of a Hesai sensor of 128 channels.
     """
     sensor = _Hesai(read_metadata(metadata))
-    return SensorFormat("hesai", sensor.head, sensor.decode, PERIOD, FARTHEST, metadata)
+    return SensorFormat("hesai", sensor.heads, sensor.decode, PERIOD, FARTHEST, metadata)
 
 
 class _Hesai:
@@ -145,10 +145,13 @@ class _Hesai:
         self._calibration = calibration
         self._beams: dict[tuple[int, int], np.ndarray] = {}  # by protocol and speed, of which there are few
 
-    def head(self, packet: bytes) -> PacketHead | None:
-        """As ``head``; None too where the firing times are of another model than the packet."""
-        known = self._calibration.protocol
-        return head(packet) if known is None or tuple(packet[2:4]) == known else None
+    def heads(self, raw: np.ndarray) -> np.ndarray:
+        """Where packets (P, B) uint8 lie, see ``SensorFormat``: none where the firing times are of another model."""
+        known, none = self._calibration.protocol, (np.nan,) * 4
+        packets = [row.tobytes() for row in raw]
+        ours = [known is None or tuple(packet[2:4]) == known for packet in packets]
+        rows = [head(packet) or none if own else none for packet, own in zip(packets, ours, strict=True)]
+        return np.array(rows, np.float64).reshape(-1, 4)
 
     def decode(self, raw: np.ndarray) -> RangeImage:
         """The rows of packets (P, B) uint8 of one layout, one for each block. See ``SensorFormat``."""

@@ -9,7 +9,7 @@ its own check sum.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from services.infra_lidar.input.hesai import BODY_AT, CHECK_BYTES, HesaiLayout, hesai_format, layout_of
 from services.infra_lidar.input.revolution import Revolution
@@ -54,18 +54,22 @@ class HesaiParser(SpinningParser):
         self._believed: dict[str, Callable[[bytes], int]] = {}  # check by part of the packet
         self._state = 0
 
-    def feed(self, packet: bytes, stamp_ns: int) -> Revolution | None:
-        """One packet and the UTC ns at which it came; the revolution that ended before it, if one did."""
+    def feed_all(self, packets: Sequence[bytes], stamps_ns: Sequence[int]) -> list[Revolution]:
+        """Packets as ``feed`` takes them, one after the other; the revolutions that ended."""
+        intact = [k for k, packet in enumerate(packets) if self._is_intact(packet)]
+        return super().feed_all([packets[k] for k in intact], [stamps_ns[k] for k in intact])
+
+    def _is_intact(self, packet: bytes) -> bool:
+        """Whether no check sum of a packet is wrong; what is damaged and what the sensor says of itself is counted."""
         layout = layout_of(packet)
         if layout is None:
-            self.rejected += 1
-            return None
+            return True  # of another sensor
         body, tail = (BODY_AT, layout.body_end), (layout.tail_at, layout.check_at)
         if self._wrong("body", packet, *body) or self._wrong("tail", packet, *tail):
             self.order.counters["packet damaged"] += 1
-            return None
+            return False
         self._watch_state(packet, layout)
-        return super().feed(packet, stamp_ns)
+        return True
 
     def _wrong(self, part: str, packet: bytes, begin: int, end: int) -> bool:
         """Whether the check sum of a part, which follows it, is wrong. Learns which one it is."""

@@ -24,7 +24,7 @@ from services.infra_lidar.input.spinning import PacketParser
 
 RECEIVE_BUFFER_BYTES = 8 << 20  # a fifth of a second of a 128-beam sensor
 SILENCE_S = 1.0
-READ_EVERY_S = 0.01  # more often takes more of the processor: waking up for a packet takes longer than reading it
+READ_EVERY_S = 0.02  # more often takes more of the processor: waking up for packets takes longer than reading them
 READ_AT_ONCE = 4096  # packets, more than any sensor sends in this time
 MAX_PACKET_BYTES = 65535
 STAMP_PACKETS = 35  # Linux's SO_TIMESTAMPNS, which Python does not name: the kernel stamps what comes
@@ -183,47 +183,52 @@ class Receiver:
     def _receive(self) -> None:
         """Take the packets that have come, then let more of them come."""
         while not self._stop.is_set():
-            fitting = False
-            for packet, address, stamp_ns in self._arrived():
-                if address == self._sender or not self._is_stranger(address, packet):
-                    fitting = self._take(address, packet, stamp_ns) or fitting
-            if fitting:
-                self._arrivals.fitting(monotonic_s())
+            self._take(*self._arrived())
             self._counts.update(self._parser)
             time.sleep(READ_EVERY_S)
 
-    def _arrived(self) -> Iterator[tuple[bytes, str, int]]:
-        """Packets with their senders and the UTC ns at which they came. Waits for the first one, at most the time-out.
+    def _arrived(self) -> tuple[str, list[bytes], list[int]]:
+        """The sensor's address, its packets and the UTC ns at which each came; those of others are counted.
+
+        Waits for the first packet, at most the time-out.
 
         Raises:
             OSError: the socket is of no more use.
         """
-        flags = 0
+        sender, flags = "", 0
+        packets: list[bytes] = []
+        stamps_ns: list[int] = []
         for _ in range(READ_AT_ONCE):
             try:
                 packet, stamps, _, (address, *_) = self._socket.recvmsg(MAX_PACKET_BYTES, STAMP_SPACE, flags)
             except BlockingIOError:
-                return  # nothing came in time, or nothing more is there
+                break  # nothing came in time, or nothing more is there
             except OSError:
                 if self._stop.is_set():
-                    return  # closed
+                    break  # closed
                 raise
-            yield packet, address, _arrival_ns(stamps)
             flags = socket.MSG_DONTWAIT
+            if address == self._sender or not self._is_stranger(address, packet):
+                sender = address
+                packets.append(packet)
+                stamps_ns.append(_arrival_ns(stamps))
+        return sender, packets, stamps_ns
 
-    def _take(self, address: str, packet: bytes, stamp_ns: int) -> bool:
-        """A packet of the sensor; whether it could be used."""
-        rejected = self._parser.rejected
-        revolution = self._parser.feed(packet, stamp_ns)
-        if self._parser.rejected > rejected:
-            self._arrivals.unfit(address, packet)
-            return False
-        if revolution is not None:
+    def _take(self, sender: str, packets: list[bytes], stamps_ns: list[int]) -> None:
+        """Packets of the sensor; those that cannot be used are counted."""
+        before = self._parser.rejected
+        revolutions = self._parser.feed_all(packets, stamps_ns)
+        unfit = self._parser.rejected - before
+        for packet in packets if unfit else ():
+            if not self._parser.accepts(packet):
+                self._arrivals.unfit(sender, packet)
+        if unfit < len(packets):
+            self._arrivals.fitting(monotonic_s())
+        for revolution in revolutions:
             self._counts.update(self._parser)
             count_losses(revolution.quality, self._report)
             self._arrivals.forget()
             self._offer(revolution)
-        return True
 
     def _is_stranger(self, address: str, packet: bytes) -> bool:
         """Whether a packet of another sender than the sensor is to be left out; it is counted.

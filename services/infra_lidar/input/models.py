@@ -70,6 +70,7 @@ def compile_decoder(kind: str) -> None:
         packet, decoder = bytes(layout.packet_bytes), ouster.decoder(layout)
     else:
         packet, decoder = SILENT_PACKETS[kind], decoder_of(kind, KINDS[kind].to_count)
+        KINDS[kind].parser(KINDS[kind].to_count, 0.0).feed(packet, 0)
     decode_revolution(stack_packets([packet]), decoder)
 
 

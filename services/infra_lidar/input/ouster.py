@@ -8,6 +8,7 @@ XYZ".
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -124,8 +125,15 @@ class OusterParser:
         self.rejected = 0
 
     def accepts(self, packet: bytes) -> bool:
-        """Whether the packet has the size that the metadata tell, and says that it is a lidar packet."""
-        return len(packet) == self._format.packet_bytes and packet.startswith(self._format.packet_type)
+        """Whether the packet has the size that the metadata tell, says that it is a lidar packet, and has a column of
+        the frame."""
+        sized = len(packet) == self._format.packet_bytes and packet.startswith(self._format.packet_type)
+        return sized and self._column(packet) < self._format.columns_per_frame
+
+    def _column(self, packet: bytes) -> int:
+        """Of the first measurement in it."""
+        at = self._format.profile.packet_header
+        return int.from_bytes(packet[at + 8 : at + 10], "little")
 
     def feed(self, packet: bytes, stamp_ns: int) -> Revolution | None:
         """One packet and the UTC ns at which it came; the revolution that ended before it, if one did."""
@@ -133,22 +141,22 @@ class OusterParser:
         if not self.accepts(packet):
             self.rejected += 1
             return None
-        at = layout.profile.packet_header
-        column = int.from_bytes(packet[at + 8 : at + 10], "little")
         frame_id = int.from_bytes(packet[layout.frame_id_at : layout.frame_id_at + 2], "little")
-        if column >= layout.columns_per_frame:
-            self.rejected += 1
-            return None
-        index = column // layout.columns_per_packet
+        index = self._column(packet) // layout.columns_per_packet
         lost = self.order.missing(frame_id * self._packets + index, 1.0)
         new_frame = self._frame_id is not None and frame_id != self._frame_id
         if lost is None or (lost < 0 and new_frame):
             return None  # a double, or so late that its revolution has ended
-        ended = self.assembler.finish() if new_frame or self.assembler.full else None
+        ended = self.assembler.finish() if new_frame or self.assembler.room <= 0 else None
         degrees = 360.0 / self._packets
         self._frame_id = frame_id
-        self.assembler.add(packet, index * degrees, (index + 1) * degrees - 1e-6, stamp_ns, lost)
+        self.assembler.add([packet], index * degrees, (index + 1) * degrees - 1e-6, stamp_ns, lost)
         return ended
+
+    def feed_all(self, packets: Sequence[bytes], stamps_ns: Sequence[int]) -> list[Revolution]:
+        """Packets as ``feed`` takes them, one after the other; the revolutions that ended."""
+        fed = (self.feed(packet, stamp_ns) for packet, stamp_ns in zip(packets, stamps_ns, strict=True))
+        return [revolution for revolution in fed if revolution is not None]
 
     def flush(self) -> Revolution | None:
         """The revolution that has been collected so far, at the end of a recording; None if there is none."""

@@ -25,6 +25,7 @@ from services.infra_lidar.input.spinning import PacketParser
 from services.infra_lidar.sensor_health import FrameQuality
 
 MAX_NAMED = 5  # senders of a capture
+READ_AT_ONCE = 64  # packets of a capture
 
 
 @dataclass(frozen=True)
@@ -139,10 +140,11 @@ def _expect_packets(layout: OusterFormat, path: Path, sender: Sender, url: Sourc
 def decoded(packets: Iterator[tuple[int, bytes]], parser: PacketParser, report: Report) -> Iterator[Recorded]:
     """The revolutions of (UTC ns, packet); what is lost, doubled, late or foreign is counted."""
     counts = ParserCounts(report)
-    for stamp_ns, packet in packets:
-        revolution = parser.feed(packet, stamp_ns)
+    while some := list(islice(packets, READ_AT_ONCE)):
+        stamps_ns, payloads = zip(*some, strict=True)
+        revolutions = parser.feed_all(payloads, stamps_ns)
         counts.update(parser)
-        if revolution is not None:
+        for revolution in revolutions:
             count_losses(revolution.quality, report)
             yield revolution.stamp_ns / 1e9, frame_of(revolution)
     if isinstance(parser, OusterParser):  # its last revolution has no packet after it

@@ -105,6 +105,16 @@ class PacketOrder:
         self._recent: deque[int] = deque(maxlen=RECENT_PACKETS)
         self._newest: int | None = None
 
+    @property
+    def newest(self) -> int | None:
+        """The position of the newest packet; None before the first."""
+        return self._newest
+
+    def follow(self, positions: Sequence[int]) -> None:
+        """Packets that follow the newest one and each other, none missing."""
+        self._recent.extend(positions[-RECENT_PACKETS:])
+        self._newest = positions[-1]
+
     def missing(self, position: int, step: float) -> int | None:
         """Packets missing before the one at ``position``, ``step`` is from one to the next; None = it is a double.
 
@@ -171,15 +181,17 @@ class RevolutionAssembler:
         self._lost = 0
         self._stamp_ns = 0
 
-    def add(self, packet: bytes, first_deg: float, last_deg: float, stamp_ns: int, lost: int) -> None:
-        """One packet that saw the directions from ``first_deg`` to ``last_deg``, with ``lost`` missing before it.
+    def add(self, packets: Sequence[bytes], first_deg: float, last_deg: float, stamp_ns: int, lost: int) -> None:
+        """Packets of one size that saw the directions from ``first_deg`` to ``last_deg``, ``lost`` missing before them.
 
-        -1: it is one of those that were missing. What lies outside the sensor's field of view is not lost.
+        -1: it is one of those that were missing. What lies outside the sensor's field of view is not lost. ``stamp_ns``
+        is of the latest.
         """
-        self._packets.append(packet)
-        self._undecoded += 1
-        if self._undecoded == batch_of(len(packet)):
-            self._decode()
+        self._packets += packets
+        self._undecoded += len(packets)
+        batch = batch_of(len(packets[0]))
+        while self._undecoded >= batch:
+            self._decode(batch)
         first, last = int(first_deg), int(last_deg)
         if first <= last:
             self._covered |= (2 << last) - (1 << first)
@@ -189,18 +201,18 @@ class RevolutionAssembler:
         self._stamp_ns = max(stamp_ns, self._stamp_ns)
 
     @property
-    def full(self) -> bool:
-        """Whether there are more packets than a revolution has: then it ends here, as an incomplete one."""
-        return len(self._packets) >= MAX_PACKETS
+    def room(self) -> int:
+        """How many more packets a revolution may have; with no room left it ends, as an incomplete one."""
+        return MAX_PACKETS - len(self._packets)
 
     def finish(self) -> Revolution | None:
         """The revolution that ends here; None if no packet has come since the last one."""
         if not self._packets:
             return None
         if self._undecoded:
-            self._decode()
+            self._decode(self._undecoded)
         expected = self._view.degrees
-        turned = not self.full  # else the head is stuck
+        turned = self.room > 0  # else the head is stuck
         complete = turned and (self._covered & expected).bit_count() >= FULL_COVERAGE * expected.bit_count()
         if turned:
             self._view.add(self._covered)
@@ -211,6 +223,8 @@ class RevolutionAssembler:
         self._packets, self._parts, self._lost, self._covered, self._stamp_ns = [], [], 0, 0, 0
         return revolution
 
-    def _decode(self) -> None:
-        self._parts.append(self._decoder.decode(stack_packets(self._packets[-self._undecoded :])))
-        self._undecoded = 0
+    def _decode(self, count: int) -> None:
+        """The oldest ``count`` packets that are not decoded yet."""
+        first = len(self._packets) - self._undecoded
+        self._parts.append(self._decoder.decode(stack_packets(self._packets[first : first + count])))
+        self._undecoded -= count

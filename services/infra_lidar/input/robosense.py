@@ -22,14 +22,14 @@ from __future__ import annotations
 
 import json
 from functools import lru_cache
-from struct import Struct
 from typing import NamedTuple
 
 import numpy as np
 
 from services.infra_lidar.input.hesai_calibration import CalibrationError
 from services.infra_lidar.input.range_image import RangeImage, RangeImageArrays
-from services.infra_lidar.input.spinning import PacketHead, SensorFormat
+from services.infra_lidar.input.revolution import stack_packets
+from services.infra_lidar.input.spinning import SensorFormat
 from services.infra_lidar.input.velodyne import COS_SIN
 from services.infra_lidar.jit import kernel
 
@@ -40,7 +40,8 @@ BLOCK_FLAG = 0xFE
 VERTICAL_AT, HORIZONTAL_AT = 468, 852  # in a DIFOP packet, 3 bytes for each channel: sign, 0.01 degrees
 BLOCK_US = 55.56
 PERIOD_US, LONGEST_GAP_US = 64_000_000, 1_000_000
-_HEAD = Struct(">10x4xHI60xBxH384xBxH384xBxH388x")  # second, its fraction, flag and azimuth of each block
+DUAL_STEP_US = BLOCK_US * BLOCKS / 2.0  # from one packet to the next, with two returns of each beam
+SECOND_AT, FRACTION_AT = 14, 16  # 2 and 4 bytes
 _PLUS_US = (
     0.0, 1.217, 2.434, 3.652, 4.869, 6.086, 7.304, 8.521, 9.739, 11.323, 12.907, 14.924, 16.941, 18.959, 20.976, 23.127,
     25.278, 27.428, 29.579, 31.963, 34.347, 36.498, 38.648, 40.666, 42.683, 44.267, 45.851, 47.435, 49.019, 50.603,
@@ -126,27 +127,54 @@ def unknown_angles() -> str:
     return as_metadata(RobosenseAngles(np.arange(CHANNELS) / 10.0, np.zeros(CHANNELS)))
 
 
+def is_msop(packet: bytes) -> bool:
+    """Whether a packet is an MSOP packet of a Ruby, which holds ranges."""
+    return len(packet) == PACKET_BYTES and not np.isnan(heads(stack_packets([packet]))[0, 0])
+
+
 def is_dual(packet: bytes) -> bool:
-    """Whether two returns of each beam are in it: two of its three blocks have one azimuth. For an MSOP packet."""
-    _, _, _, first, _, middle, _, last = _HEAD.unpack(packet)
-    return middle in (first, last)
+    """Whether two returns of each beam are in it. For an MSOP packet."""
+    return bool(heads(stack_packets([packet]))[0, 3] == DUAL_STEP_US)
 
 
-def head(packet: bytes) -> PacketHead | None:
-    """Where a packet lies, counted in microseconds of about a minute; None if it is no MSOP packet of a Ruby."""
-    if len(packet) != PACKET_BYTES or packet[:4] != MSOP:
-        return None
-    second, fraction, flag_0, first, flag_1, middle, flag_2, last = _HEAD.unpack(packet)
-    if {flag_0, flag_1, flag_2} != {BLOCK_FLAG} or max(first, middle, last) >= 36000:
-        return None
-    microsecond = fraction if fraction < 1_000_000 else fraction // 1000
-    dual = is_dual(packet)
-    return PacketHead(
-        first / 100.0,
-        last / 100.0,
-        second % 64 * 1_000_000 + microsecond % 1_000_000,
-        BLOCK_US * (BLOCKS / 2.0 if dual else BLOCKS),
-    )
+@kernel
+def heads(raw: np.ndarray) -> np.ndarray:
+    """Where packets (P, B) uint8 lie, counted in microseconds of about a minute. See ``SensorFormat``.
+
+    With two returns two of the three blocks have one azimuth.
+    """
+    rows = np.full((raw.shape[0], 4), np.nan)
+    if raw.shape[1] != PACKET_BYTES:
+        return rows
+    azimuth = np.empty(BLOCKS, np.int64)
+    for p in range(raw.shape[0]):
+        is_msop = True
+        for k in range(len(MSOP)):
+            is_msop &= raw[p, k] == MSOP[k]
+        for k in range(BLOCKS):
+            at = BLOCKS_AT[k]
+            azimuth[k] = 256 * raw[p, at + 2] + raw[p, at + 3]
+            is_msop &= raw[p, at] == BLOCK_FLAG and azimuth[k] < 36000
+        if is_msop:
+            second, fraction = (
+                big_endian(raw[p, SECOND_AT : SECOND_AT + 2]),
+                big_endian(raw[p, FRACTION_AT : FRACTION_AT + 4]),
+            )
+            microsecond = fraction if fraction < 1_000_000 else fraction // 1000
+            dual = azimuth[1] == azimuth[0] or azimuth[1] == azimuth[2]
+            rows[p, 0], rows[p, 1] = azimuth[0] / 100.0, azimuth[2] / 100.0
+            rows[p, 2] = second % 64 * 1_000_000 + microsecond % 1_000_000
+            rows[p, 3] = DUAL_STEP_US if dual else BLOCK_US * BLOCKS
+    return rows
+
+
+@kernel
+def big_endian(octets: np.ndarray) -> int:
+    """The number that octets (n,) uint8 hold."""
+    number = 0
+    for octet in octets:
+        number = 256 * number + octet
+    return number
 
 
 def robosense_format(metadata: str) -> SensorFormat:
@@ -175,7 +203,7 @@ def robosense_format(metadata: str) -> SensorFormat:
         turning = beams(bool(n) and is_plus(raw[0, :40].tobytes()), _head_speed_deg_per_s(raw))
         return RangeImage(range_m[:m], intensity[:m], cos[:m], sin[:m], bank[:m], turning)
 
-    return SensorFormat("robosense", head, decode, PERIOD_US, LONGEST_GAP_US, metadata)
+    return SensorFormat("robosense", heads, decode, PERIOD_US, LONGEST_GAP_US, metadata)
 
 
 def _beams(angles: RobosenseAngles, plus: bool, speed_deg_per_s: float) -> np.ndarray:

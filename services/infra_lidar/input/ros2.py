@@ -96,24 +96,44 @@ class Packets:
         self._kind, self._cut_deg, self._counts = kind, cut_deg, counts
         self._parser: PacketParser | None = None if metadata is None else KINDS[kind].parser(metadata, cut_deg)
 
-    def feed(self, packet: bytes, stamp_ns: int) -> Revolution | None:
-        """One packet and its UTC ns; the revolution that ended before it, if one did.
+    def feed(self, dated: list[tuple[int, bytes]]) -> tuple[list[Revolution], list[str]]:
+        """Packets with their UTC ns; the revolutions that ended, and why packets could not be used, for each of them.
+
+        That is because they are of another sensor, or the angles are damaged or have not come yet.
+        """
+        usable, wrong = [], []
+        for stamp_ns, packet in dated:
+            try:
+                if self._is_measured(packet):
+                    usable.append((stamp_ns, packet))
+            except PacketError as error:
+                wrong.append(str(error))
+        if self._parser is None:
+            return [], wrong
+        before = self._parser.rejected
+        revolutions = self._parser.feed_all([packet for _, packet in usable], [stamp_ns for stamp_ns, _ in usable])
+        self._counts.update(self._parser)
+        if self._parser.rejected > before:
+            models = [model_of(packet) for _, packet in usable if not self._parser.accepts(packet)]
+            wrong += [
+                f"packets of {model or 'an unknown sensor'}, expected those of a supported {self._kind} sensor"
+                for model in models
+            ]
+        return revolutions, wrong
+
+    def _is_measured(self, packet: bytes) -> bool:
+        """Whether it goes to the parser; a DIFOP packet makes the parser instead.
 
         Raises:
-            PacketError: of another sensor, damaged angles, or no angles yet.
+            PacketError: damaged angles, or no angles yet.
         """
         if self._kind == "robosense" and robosense.is_difop(packet):
             if self._parser is None:
                 self._take_angles(packet)
-            return None
+            return False
         if self._parser is None:
             raise PacketError("no DIFOP packet with the beam angles has come yet; ?calibration=FILE gives them")
-        if not self._parser.accepts(packet):
-            what = model_of(packet) or "an unknown sensor"
-            raise PacketError(f"packets of {what}, expected those of a supported {self._kind} sensor")
-        revolution = self._parser.feed(packet, stamp_ns)
-        self._counts.update(self._parser)
-        return revolution
+        return True
 
     def _take_angles(self, packet: bytes) -> None:
         try:
@@ -151,16 +171,9 @@ def _of_message(
     dated: list[tuple[int, bytes]], reader: TopicReader, packets: Packets, report: Report
 ) -> Iterator[Revolution]:
     """The revolutions that end in a message. One that holds no packet that can be used is refused, with why."""
-    wrong = []
-    for stamp_ns, packet in dated:
-        try:
-            revolution = packets.feed(packet, stamp_ns)
-        except PacketError as error:
-            wrong.append(str(error))
-            report.bad_input("unusable packet")
-            continue
-        if revolution is not None:
-            yield revolution
+    revolutions, wrong = packets.feed(dated)
+    report.bad_input("unusable packet", len(wrong))
+    yield from revolutions
     if wrong and len(wrong) == len(dated):
         reader.refuse(wrong[-1])
 

@@ -109,7 +109,7 @@ def _details(sender: Sender, sent: list[Datagram], path: Path | None, span_s: fl
     except ConfigError as error:
         yield f"    {error}"
         return
-    ended = [one for packet in sent if (one := parser.feed(packet.payload, packet.stamp_ns)) is not None]
+    ended = parser.feed_all([packet.payload for packet in sent], [packet.stamp_ns for packet in sent])
     if ended:
         returns = sum(one.range_image.returns for one in ended) // len(ended)
         lost = sum(one.quality.packets_lost for one in ended)

@@ -85,7 +85,7 @@ def model_of(payload: bytes) -> str:
         if (major, minor) == (3, 2) and payload[11] & hesai.SELECTED_CHANNELS:
             return "Hesai QT with selected channels"
         return HESAI_MODELS.get((major, minor, beams), f"Hesai with {beams} beams, protocol {major}.{minor}")
-    if robosense.head(payload) is not None:
+    if robosense.is_msop(payload):
         return RUBY_PLUS if robosense.is_plus(payload) else RUBY
     if payload[:4] in _ROBOSENSE and len(payload) > 100:
         return _ROBOSENSE[payload[:4]]

@@ -1,21 +1,30 @@
 """The decoder contract: the packet format of a spinning lidar, and the parser that all of them share. No I/O.
 
-A sensor gives two pure functions. ``head`` reads the few bytes with a packet's place in the revolution, for every
-packet as it comes. ``decode`` makes ranges of many packets at once. What a sensor needs beside its packets (beam
+A sensor gives two pure functions. ``heads`` reads the few bytes with the places of packets in the revolution, as they
+come. ``decode`` makes ranges of many packets at once. What a sensor needs beside its packets (beam
 angles, firing times) is in the format from the start; its text form is ``metadata``, from which the format can be made
 again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import groupby, pairwise
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from services.infra_lidar.input.range_image import RangeImage
-from services.infra_lidar.input.revolution import PacketDecoder, PacketOrder, Revolution, RevolutionAssembler
+from services.infra_lidar.input.revolution import (
+    PacketDecoder,
+    PacketOrder,
+    Revolution,
+    RevolutionAssembler,
+    stack_packets,
+)
+from services.infra_lidar.jit import kernel
 
 BACK_DEG = 2.0  # the head turns one way: an azimuth that falls by more begins a new revolution
 BACKWARD_PACKETS = 200  # whose azimuths fall by less: the head turns the other way
@@ -35,18 +44,23 @@ class PacketHead(NamedTuple):
 class SensorFormat:
     """The packet format of one sensor.
 
-    kind: as in ``models.KINDS``. head: of a packet, None if it is not this sensor's. decode: packets (P, B) uint8 of
-    one size, each with a head, to the rows that they hold. period: where ``position`` begins again. farthest: a step
-    beyond this is no gap but a sensor that has started anew. metadata: what the format was made of, "" where nothing is
-    needed.
+    kind: as in ``models.KINDS``. heads: of packets (P, B) uint8 of one size, (P, 4) float64 rows of ``PacketHead``, NaN
+    where one is not this sensor's. decode: packets (P, B), each with a head, to the rows that they hold. period: where
+    ``position`` begins again. farthest: a step beyond this is no gap but a sensor that has started anew. metadata: what
+    the format was made of, "" where nothing is needed.
     """
 
     kind: str
-    head: Callable[[bytes], PacketHead | None]
+    heads: Callable[[np.ndarray], np.ndarray]
     decode: Callable[[np.ndarray], RangeImage]
     period: int
     farthest: int
     metadata: str = ""
+
+    def head(self, packet: bytes) -> PacketHead | None:
+        """Where a packet lies; None if it is not this sensor's."""
+        first_deg, last_deg, position, step = self.heads(stack_packets([packet]))[0].tolist()
+        return None if math.isnan(first_deg) else PacketHead(first_deg, last_deg, int(position), step)
 
     @property
     def decoder(self) -> PacketDecoder:
@@ -71,6 +85,9 @@ class PacketParser(Protocol):
     def feed(self, packet: bytes, stamp_ns: int) -> Revolution | None:
         """One packet and the UTC ns at which it came; the revolution that ended before it, if one did."""
 
+    def feed_all(self, packets: Sequence[bytes], stamps_ns: Sequence[int]) -> list[Revolution]:
+        """Packets as ``feed`` takes them, one after the other; the revolutions that ended."""
+
 
 class SpinningParser:
     """Feed it packets; it returns whole revolutions, cut where the head passes ``cut_deg``. See ``PacketParser``."""
@@ -91,15 +108,43 @@ class SpinningParser:
 
     def feed(self, packet: bytes, stamp_ns: int) -> Revolution | None:
         """One packet and the UTC ns at which it came; the revolution that ended before it, if one did."""
-        head = self._sensor.head(packet)
-        if head is None:
-            self.rejected += 1
-            return None
-        first_deg, last_deg, position, step = head
-        lost = self.order.missing(position, step)
+        ended = self.feed_all([packet], [stamp_ns])
+        return ended[0] if ended else None
+
+    def feed_all(self, packets: Sequence[bytes], stamps_ns: Sequence[int]) -> list[Revolution]:
+        """Packets as ``feed`` takes them, one after the other; the revolutions that ended."""
+        ended: list[Revolution] = []
+        sizes = [len(packet) for packet in packets]
+        end = 0
+        for _, alike in groupby(sizes):
+            first, end = end, end + len(list(alike))
+            ended += self._feed_alike(packets[first:end], stamps_ns[first:end])
+        return ended
+
+    def _feed_alike(self, packets: Sequence[bytes], stamps_ns: Sequence[int]) -> list[Revolution]:
+        """Packets of one size. Most of them simply follow the one before: such a run is added at once."""
+        heads = self._sensor.heads(stack_packets(packets))
+        unknown = np.isnan(heads[:, 0])
+        if unknown.any():
+            ours = np.flatnonzero(~unknown).tolist()
+            self.rejected += len(packets) - len(ours)
+            packets, stamps_ns, heads = [packets[k] for k in ours], [stamps_ns[k] for k in ours], heads[ours]
+        ended = []
+        for first, end in pairwise(_run_bounds(heads, self._cut_deg).tolist()):
+            ended.append(self._add(packets[first], heads[first], stamps_ns[first]))
+            rest = range(first + 1, end)
+            if 0 < len(rest) <= self.assembler.room and self._is_newest(packets[first], heads[first]):
+                self._add_run(packets[first + 1 : end], heads[first + 1 : end], max(stamps_ns[first + 1 : end]))
+            else:
+                ended += [self._add(packets[k], heads[k], stamps_ns[k]) for k in rest]
+        return [revolution for revolution in ended if revolution is not None]
+
+    def _add(self, packet: bytes, head: np.ndarray, stamp_ns: int) -> Revolution | None:
+        """A packet with its ``PacketHead`` (4,), degrees from the cut; the revolution that ended before it."""
+        first_deg, last_deg, position, step = head.tolist()
+        lost = self.order.missing(int(position), step)
         if lost is None:
             return None
-        first_deg, last_deg = (first_deg - self._cut_deg) % 360.0, (last_deg - self._cut_deg) % 360.0
         changed = len(packet) != self._size  # the sensor has been set to another layout
         if lost < 0:
             back = False  # late
@@ -109,10 +154,21 @@ class SpinningParser:
             back = first_deg < self._previous_deg - BACK_DEG  # a window in the sensor ends anywhere
             self._watch_direction(first_deg - self._previous_deg)
             self._previous_deg = first_deg
-        ended = self.assembler.finish() if back or changed or self.assembler.full else None
+        ended = self.assembler.finish() if back or changed or self.assembler.room <= 0 else None
         self._size = len(packet)
-        self.assembler.add(packet, first_deg, last_deg, stamp_ns, lost)
+        self.assembler.add([packet], first_deg, last_deg, stamp_ns, lost)
         return ended
+
+    def _is_newest(self, packet: bytes, head: np.ndarray) -> bool:
+        """Whether the packet is of this revolution and none after it has come."""
+        newest = self._previous_deg, self.order.newest, self._size
+        return (head[0], head[2], len(packet)) == newest
+
+    def _add_run(self, packets: Sequence[bytes], heads: np.ndarray, stamp_ns: int) -> None:
+        """Packets that follow the newest one and each other, with heads (P, 4)."""
+        self._previous_deg, self._backward = float(heads[-1, 0]), 0
+        self.order.follow(heads[:, 2].astype(np.int64).tolist())
+        self.assembler.add(packets, heads[0, 0], heads[-1, 1], stamp_ns, 0)
 
     def _watch_direction(self, step_deg: float) -> None:
         """Count, once in BACKWARD_PACKETS, that the head turns the other way, in which revolutions cannot be cut."""
@@ -123,3 +179,23 @@ class SpinningParser:
         if self._backward == BACKWARD_PACKETS:
             self.order.counters[WRONG_WAY] += 1
             self._backward = 0
+
+
+@kernel
+def _run_bounds(heads: np.ndarray, cut_deg: float) -> np.ndarray:
+    """Where runs of packets begin, and the number of packets: (R + 1,) int64.
+
+    heads: (P, 4) float64 rows of ``PacketHead`` of packets of one size; degrees from the cut are written to it. In a
+    run each is the next one in the sensor's count and begins where the one before ended, to a degree.
+    """
+    bounds = [0]
+    for p in range(len(heads)):
+        heads[p, 0], heads[p, 1] = (heads[p, 0] - cut_deg) % 360.0, (heads[p, 1] - cut_deg) % 360.0
+    for p in range(1, len(heads)):
+        ahead, step, turned_deg = heads[p, 2] - heads[p - 1, 2], heads[p, 3], heads[p, 0] - heads[p - 1, 0]
+        is_next = 0.0 < ahead < 1.5 * step and turned_deg > 0.0 and heads[p, 0] < heads[p - 1, 1] + 1.0
+        if not is_next or heads[p, 1] < heads[p, 0]:
+            bounds.append(p)
+    if len(heads) > 0:
+        bounds.append(len(heads))
+    return np.array(bounds)

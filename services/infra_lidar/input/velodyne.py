@@ -11,12 +11,11 @@ after each 64; the head turns on meanwhile.
 from __future__ import annotations
 
 from functools import lru_cache
-from struct import Struct
 
 import numpy as np
 
 from services.infra_lidar.input.range_image import RangeImage, RangeImageArrays
-from services.infra_lidar.input.spinning import PacketHead, SensorFormat, SpinningParser
+from services.infra_lidar.input.spinning import SensorFormat, SpinningParser
 from services.infra_lidar.jit import kernel
 
 PACKET_BYTES, BLOCKS, BEAMS_OF_BLOCK = 1206, 12, 32
@@ -24,9 +23,9 @@ PRODUCT_VLS128 = 0xA1
 DUAL_RETURN = 0x39
 DISTANCE_STEP_M = 0.004
 CYCLE_US, GROUP_S = 55.3, 2.665e-6  # a firing sequence of all 128 lasers, and of eight of them
-MODE_AT = 1204
+FIRST_AT, DUAL_LAST_AT, LAST_AT = 2, 702, 1102  # azimuths of the first, eighth and last block
+TIME_AT, MODE_AT, PRODUCT_AT = 1200, 1204, 1205
 DUAL_BLOCKS = 8  # one firing sequence, each bank of lasers twice; the other four are padding
-_HEAD = Struct("<2xH698xH398xH96xIBB")  # azimuths of the first, eighth and last block, time, mode, product
 FOCUS_M = 0.0586  # the beams meet this far in front of the axis
 HOUR_US = 3_600_000_000
 LONGEST_GAP_US = 1_000_000
@@ -65,16 +64,23 @@ class Vls128Parser(SpinningParser):
         super().__init__(VLS128_FORMAT, cut_deg)
 
 
-def head(packet: bytes) -> PacketHead | None:
-    """Where a packet lies, counted in microseconds of the hour; None if it is no data packet of a VLS-128."""
-    if len(packet) != PACKET_BYTES:
-        return None
-    first, dual_last, last, time_us, mode, product = _HEAD.unpack(packet)
-    dual = mode == DUAL_RETURN
-    last = dual_last if dual else last
-    if product != PRODUCT_VLS128 or first >= 36000 or last >= 36000:
-        return None
-    return PacketHead(first / 100.0, last / 100.0, time_us, (1.0 if dual else 3.0) * CYCLE_US)
+@kernel
+def heads(raw: np.ndarray) -> np.ndarray:
+    """Where packets (P, B) uint8 lie, counted in microseconds of the hour. See ``SensorFormat``."""
+    rows = np.full((raw.shape[0], 4), np.nan)
+    if raw.shape[1] != PACKET_BYTES:
+        return rows
+    for p in range(raw.shape[0]):
+        dual = raw[p, MODE_AT] == DUAL_RETURN
+        last_at = DUAL_LAST_AT if dual else LAST_AT
+        first, last = raw[p, FIRST_AT] + 256 * raw[p, FIRST_AT + 1], raw[p, last_at] + 256 * raw[p, last_at + 1]
+        if raw[p, PRODUCT_AT] == PRODUCT_VLS128 and first < 36000 and last < 36000:
+            time_us = 0
+            for k in range(4):
+                time_us += raw[p, TIME_AT + k] << 8 * k
+            rows[p, 0], rows[p, 1], rows[p, 2] = first / 100.0, last / 100.0, time_us
+            rows[p, 3] = CYCLE_US if dual else 3.0 * CYCLE_US
+    return rows
 
 
 def decode(raw: np.ndarray) -> RangeImage:
@@ -87,7 +93,7 @@ def decode(raw: np.ndarray) -> RangeImage:
     return RangeImage(range_m[:m], intensity[:m], cos[:m], sin[:m], bank[:m], image.beams)
 
 
-VLS128_FORMAT = SensorFormat("velodyne", head, decode, HOUR_US, LONGEST_GAP_US)
+VLS128_FORMAT = SensorFormat("velodyne", heads, decode, HOUR_US, LONGEST_GAP_US)
 DECODER = VLS128_FORMAT.decoder
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import pytest
@@ -107,7 +107,7 @@ def test_strangers_that_have_stopped_are_forgotten(until: Callable[..., None]) -
 class FailingParser(Vls128Parser):
     """Its first packet raises an error that nobody has thought of."""
 
-    def feed(self, packet: bytes, stamp_ns: int) -> Revolution | None:
+    def feed_all(self, packets: Sequence[bytes], stamps_ns: Sequence[int]) -> list[Revolution]:
         raise ZeroDivisionError("unthought of")
 
 
@@ -128,10 +128,10 @@ class HeldParser(Vls128Parser):
         self.stamps_ns: list[int] = []
         self.released = threading.Event()
 
-    def feed(self, packet: bytes, stamp_ns: int) -> Revolution | None:
-        self.stamps_ns.append(stamp_ns)
+    def feed_all(self, packets: Sequence[bytes], stamps_ns: Sequence[int]) -> list[Revolution]:
+        self.stamps_ns += stamps_ns
         self.released.wait(20.0)
-        return None
+        return []
 
 
 def test_a_packet_has_the_stamp_of_its_arrival_however_late_it_is_read(until: Callable[..., None]) -> None:

@@ -16,7 +16,6 @@ from services.infra_lidar.input.models import KINDS
 from services.infra_lidar.input.revolution import decode_revolution, stack_packets
 from services.infra_lidar.input.robosense import (
     as_metadata,
-    head,
     read_angle_file,
     read_difop,
     robosense_format,
@@ -67,7 +66,7 @@ def test_two_returns_lie_on_the_beams_of_one() -> None:
 def test_the_manuals_worked_examples() -> None:
     steps = np.full((3, 128), 0x084B)
     packet = replace(BUSY, steps=steps, azimuth=(0x5939 - 20, 0x5939, 0x5939 + 20)).build()
-    found = head(packet)
+    found = robosense_format(METADATA).head(packet)
     assert found is not None
     assert found.first_deg == pytest.approx(228.41 - 0.2)
     image = decode_revolution(stack_packets([packet]), robosense_format(METADATA).decoder)
@@ -118,7 +117,7 @@ def test_turns_and_losses(dual: bool) -> None:
 def test_a_time_stamp_in_nanoseconds_is_understood() -> None:
     packet = bytearray(Msop(microsecond=500).build())
     packet[16:20] = struct.pack(">I", 500_000_000)
-    found = head(bytes(packet))
+    found = robosense_format(METADATA).head(bytes(packet))
     assert found is not None
     assert found.position % 1_000_000 == 500_000
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from services.infra_lidar.input.revolution import decode_revolution, stack_packets
-from services.infra_lidar.input.velodyne import DECODER, DUAL_RETURN, RING, Vls128Parser, head
+from services.infra_lidar.input.velodyne import DECODER, DUAL_RETURN, RING, VLS128_FORMAT, Vls128Parser
 
 BANKS = (0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF)
 CYCLE_US = 55.3
@@ -59,7 +59,7 @@ def test_both_returns_lie_on_the_beams_of_the_single_return(steps: np.ndarray, p
 
 
 def test_padding_says_nothing_of_the_direction(steps: np.ndarray) -> None:
-    found = head(dual_packet(3, steps, b"\xff"))
+    found = VLS128_FORMAT.head(dual_packet(3, steps, b"\xff"))
     assert found is not None
     assert (found.first_deg, found.last_deg) == pytest.approx((0.6, 0.6))
 
