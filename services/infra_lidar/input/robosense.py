@@ -156,10 +156,8 @@ def heads(raw: np.ndarray) -> np.ndarray:
             azimuth[k] = 256 * raw[p, at + 2] + raw[p, at + 3]
             is_msop &= raw[p, at] == BLOCK_FLAG and azimuth[k] < 36000
         if is_msop:
-            second, fraction = (
-                big_endian(raw[p, SECOND_AT : SECOND_AT + 2]),
-                big_endian(raw[p, FRACTION_AT : FRACTION_AT + 4]),
-            )
+            second = big_endian(raw[p, SECOND_AT : SECOND_AT + 2])
+            fraction = big_endian(raw[p, FRACTION_AT : FRACTION_AT + 4])
             microsecond = fraction if fraction < 1_000_000 else fraction // 1000
             dual = azimuth[1] == azimuth[0] or azimuth[1] == azimuth[2]
             rows[p, 0], rows[p, 1] = azimuth[0] / 100.0, azimuth[2] / 100.0

@@ -1,9 +1,8 @@
 """The decoder contract: the packet format of a spinning lidar, and the parser that all of them share. No I/O.
 
-A sensor gives two pure functions. ``heads`` reads the few bytes with the places of packets in the revolution, as they
-come. ``decode`` makes ranges of many packets at once. What a sensor needs beside its packets (beam
-angles, firing times) is in the format from the start; its text form is ``metadata``, from which the format can be made
-again.
+A sensor gives two pure functions. ``heads`` reads the few bytes that tell where packets lie in the revolution, as they
+come. ``decode`` makes ranges of many packets at once. What a sensor needs beside its packets (beam angles, firing
+times) is in the format from the start; its text form is ``metadata``, from which the format can be made again.
 """
 
 from __future__ import annotations
