@@ -125,7 +125,7 @@ class OusterParser:
         self.rejected = 0
 
     def accepts(self, packet: bytes) -> bool:
-        """Whether the packet has the size that the metadata tell and begins as a lidar packet, in a column that exists."""
+        """Whether the packet has the size that the metadata tell and begins as a lidar packet with a valid column."""
         sized = len(packet) == self._format.packet_bytes and packet.startswith(self._format.packet_type)
         return sized and self._column(packet) < self._format.columns_per_frame
 
