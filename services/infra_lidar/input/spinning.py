@@ -187,14 +187,14 @@ def _run_bounds(heads: np.ndarray, cut_deg: float) -> np.ndarray:
     heads: (P, 4) float64 rows of ``PacketHead`` of packets of one size; degrees from the cut are written to it. In a
     run each is the next one in the sensor's count and begins where the one before ended, to a degree.
     """
-    bounds = [0]
+    bounds, runs = np.zeros(len(heads) + 1, np.int64), 0
     for p in range(len(heads)):
         heads[p, 0], heads[p, 1] = (heads[p, 0] - cut_deg) % 360.0, (heads[p, 1] - cut_deg) % 360.0
-    for p in range(1, len(heads)):
-        ahead, step, turned_deg = heads[p, 2] - heads[p - 1, 2], heads[p, 3], heads[p, 0] - heads[p - 1, 0]
-        is_next = 0.0 < ahead < 1.5 * step and turned_deg > 0.0 and heads[p, 0] < heads[p - 1, 1] + 1.0
+        before = heads[max(p - 1, 0)]
+        ahead, turned_deg, gap_deg = heads[p, 2] - before[2], heads[p, 0] - before[0], heads[p, 0] - before[1]
+        is_next = 0.0 < ahead < 1.5 * heads[p, 3] and turned_deg > 0.0 and gap_deg < 1.0
         if not is_next or heads[p, 1] < heads[p, 0]:
-            bounds.append(p)
-    if len(heads) > 0:
-        bounds.append(len(heads))
-    return np.array(bounds)
+            bounds[runs] = p
+            runs += 1
+    bounds[runs] = len(heads)
+    return bounds[: runs + 1]
