@@ -22,7 +22,11 @@ from services.infra_lidar.input.packets import Frame, ParserCounts, count_losses
 from services.infra_lidar.input.revolution import Revolution
 from services.infra_lidar.input.spinning import PacketParser
 
-RECEIVE_BUFFER_BYTES = 8 << 20  # a fifth of a second of a 128-beam sensor
+RECEIVE_BUFFER_BYTES = 8 << 20  # a fifth of a second of a 128-beam sensor; the kernel may grant less
+FILLED = (
+    0.125  # of the buffer by the packets of one pause: small packets take twice their size, and reading may be late
+)
+SHORTEST_PAUSE_S = 0.001
 SILENCE_S = 1.0
 READ_EVERY_S = 0.02  # more often takes more of the processor: waking up for packets takes longer than reading them
 READ_AT_ONCE = 4096  # packets, more than any sensor sends in this time
@@ -108,6 +112,15 @@ def _arrival_ns(stamps: list[tuple[int, int, bytes]]) -> int:
     return utc_of_kernel(second * 1_000_000_000 + nanosecond)
 
 
+def pause_after(pause_s: float, came_bytes: int, buffer_bytes: int) -> float:
+    """Seconds until the next read, after one that found ``came_bytes`` and was ``pause_s`` after the one before.
+
+    READ_EVERY_S, or less where that would fill more than FILLED of the kernel's buffer.
+    """
+    fitting_s = pause_s * FILLED * buffer_bytes / max(came_bytes, 1)
+    return min(READ_EVERY_S, max(SHORTEST_PAUSE_S, fitting_s))
+
+
 class Receiver:
     """Reads a UDP port in its own thread, so that the socket's buffer does not overflow while the pipeline works.
 
@@ -141,6 +154,8 @@ class Receiver:
             self._socket.close()
             raise ConfigError(f"cannot listen on UDP port {port}: {error}") from None
         self.port: int = self._socket.getsockname()[1]
+        self._buffer_bytes = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        self._came_bytes = 0  # with the last read, packets of others included
         self._arrivals = Arrivals(self.port)
         self._thread = threading.Thread(target=self._run, name="packets", daemon=True)
         self._thread.start()
@@ -182,10 +197,12 @@ class Receiver:
 
     def _receive(self) -> None:
         """Take the packets that have come, then let more of them come."""
+        pause_s = SHORTEST_PAUSE_S
         while not self._stop.is_set():
             self._take(*self._arrived())
             self._counts.update(self._parser)
-            time.sleep(READ_EVERY_S)
+            pause_s = pause_after(pause_s, self._came_bytes, self._buffer_bytes)
+            time.sleep(pause_s)
 
     def _arrived(self) -> tuple[str, list[bytes], list[int]]:
         """The sensor's address, its packets and the UTC ns at which each came; those of others are counted.
@@ -195,7 +212,7 @@ class Receiver:
         Raises:
             OSError: the socket is of no more use.
         """
-        sender, flags = "", 0
+        sender, flags, self._came_bytes = "", 0, 0
         packets: list[bytes] = []
         stamps_ns: list[int] = []
         for _ in range(READ_AT_ONCE):
@@ -208,6 +225,7 @@ class Receiver:
                     break  # closed
                 raise
             flags = socket.MSG_DONTWAIT
+            self._came_bytes += len(packet)
             if address == self._sender or not self._is_stranger(address, packet):
                 sender = address
                 packets.append(packet)

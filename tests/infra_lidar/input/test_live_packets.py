@@ -15,7 +15,13 @@ from common.clock import utc_ns
 from services.infra_lidar.input import live_packets
 from services.infra_lidar.input.arrivals import Arrivals
 from services.infra_lidar.input.hesai_calibration import as_metadata
-from services.infra_lidar.input.live_packets import Receiver
+from services.infra_lidar.input.live_packets import (
+    READ_EVERY_S,
+    RECEIVE_BUFFER_BYTES,
+    SHORTEST_PAUSE_S,
+    Receiver,
+    pause_after,
+)
 from services.infra_lidar.input.models import KINDS
 from services.infra_lidar.input.ouster import OusterFormat
 from services.infra_lidar.input.revolution import Revolution
@@ -61,6 +67,30 @@ def test_why_no_revolution_comes(packets: list[str], words: str) -> None:
     assert arrivals.why_nothing(100.1).startswith(words)
     arrivals.forget()
     assert arrivals.why_nothing(101.0).startswith("no packets on UDP port 7"), "what has stopped is not told again"
+
+
+@pytest.mark.parametrize(
+    ("buffer_bytes", "packet_bytes", "packets_per_s", "longest_s"),
+    [
+        (2 * RECEIVE_BUFFER_BYTES, 1206, 6000, READ_EVERY_S),  # as much as is asked for: the kernel says it doubled
+        (2 * RECEIVE_BUFFER_BYTES, 24896, 1280, READ_EVERY_S),
+        (425_984, 1206, 6000, 0.0075),  # what Linux grants when it is not configured
+        (425_984, 24896, 1280, 0.0018),
+        (425_984, 24896, 12_800, SHORTEST_PAUSE_S),
+    ],
+)
+def test_a_small_buffer_of_the_kernel_is_read_more_often(
+    buffer_bytes: int, packet_bytes: int, packets_per_s: int, longest_s: float
+) -> None:
+    pause_s = SHORTEST_PAUSE_S
+    for _ in range(50):
+        pause_s = pause_after(pause_s, round(pause_s * packets_per_s) * packet_bytes, buffer_bytes)
+        assert SHORTEST_PAUSE_S <= pause_s <= READ_EVERY_S
+    assert 0.6 * longest_s <= pause_s <= longest_s
+
+
+def test_after_silence_packets_are_read_as_seldom_as_before() -> None:
+    assert pause_after(SHORTEST_PAUSE_S, 0, 425_984) == READ_EVERY_S
 
 
 @contextmanager
