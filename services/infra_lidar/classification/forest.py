@@ -16,6 +16,7 @@ from services.infra_lidar.jit import kernel
 
 _ARRAYS = ("feature", "threshold", "left", "right", "leaf", "value", "root", "calibration_x", "calibration_y")
 SUFFIX = ".npz"
+STEPS = 2  # of a row, before the next row takes its own
 _LEAST = 1e-6  # probability of a class that no tree votes for
 
 
@@ -66,7 +67,10 @@ class Forest:
         nodes = np.empty(len(order), _NODE)
         nodes["feature"], nodes["child"] = self.feature[order], child
         nodes["threshold"] = np.where(child == np.arange(len(order)), np.inf, self.threshold[order])
-        return _Trees(nodes, self.leaf[order].astype(np.uint32), self.value, root)
+        is_leaf = child == np.arange(len(order))
+        return _Trees(
+            nodes, np.cumsum(is_leaf).astype(np.uint32) - is_leaf, self.value[self.leaf[order][is_leaf]], root
+        )
 
     def shares(self, x: np.ndarray) -> np.ndarray:
         """(K, F) float32 features to (K, C) float32 class shares (uncalibrated): the mean of the trees' shares, or the
@@ -173,11 +177,12 @@ def _sum_values(x: np.ndarray, trees: _Trees, out: np.ndarray) -> None:
             still = np.uint32(0)
             for j in range(left):
                 k = walking[j]
-                at = node[k]
-                here = trees.nodes[at]
-                node[k] = here.child + np.uint32(values[k * width + here.feature] > here.threshold)
-                walking[still] = k
-                still += np.uint32(node[k] != at)
+                at = last = node[k]
+                for _ in range(STEPS):
+                    last, here = at, trees.nodes[at]
+                    at = here.child + np.uint32(values[k * width + here.feature] > here.threshold)
+                node[k], walking[still] = at, k
+                still += np.uint32(at != last)
             left = still
         for k in range(rows):
             for c in range(out.shape[1]):

@@ -12,14 +12,8 @@ import numpy as np
 
 from services.infra_lidar.clustering.attach_returns import attach_single_returns
 from services.infra_lidar.clustering.boxes import ClusterPoints, group_by_label, join_clusters
-from services.infra_lidar.clustering.grid import CellGrid, cells_of
-from services.infra_lidar.clustering.label import (
-    CellLabeller,
-    component_tops,
-    drop_strays,
-    extract_overhang,
-    tall_components,
-)
+from services.infra_lidar.clustering.grid import CellGrid
+from services.infra_lidar.clustering.label import label_points, label_rules
 from services.infra_lidar.clustering.merge_vehicles import footprints, merge_fragments
 from services.infra_lidar.clustering.split_people import split_pedestrian_groups
 from services.infra_lidar.config import ClusteringConfig
@@ -32,14 +26,15 @@ class Clustering:
     def __init__(self, config: ClusteringConfig, range_max_m: float) -> None:
         self._config = config
         self._grid = CellGrid(config, range_max_m)
-        self._cells = CellLabeller(config, self._grid)
+        self._rules = label_rules(config)
+        self._cell_at = np.full(self._grid.side**2, -1, np.int32)
 
     def cluster(self, obstacles: Obstacles) -> ClusterPoints:
         """Group the points of a frame that are not ground."""
         config, points = self._config, obstacles.points
 
         # Connected components of cells; points above body height join tall components or form their own
-        label = self._label(points)
+        label = label_points(points, self._grid.scale, self._rules, self._cell_at)
 
         # Points sorted by component, each with its box
         found = group_by_label(points, obstacles.index, label, config.max_points)
@@ -58,24 +53,6 @@ class Clustering:
 
         # What has a possible size is kept
         return join_clusters(found, np.arange(len(found.box)), self._has_possible_size(found))
-
-    def _label(self, points: np.ndarray) -> np.ndarray:
-        """(M,) int32 component of each point, -1 = none."""
-        body_m = np.float32(self._config.body_height_m or np.inf)
-        above_m = np.ascontiguousarray(points[:, 3])  # one type for the kernels, however few points there are
-        cell = cells_of(points, self._grid.scale)
-        label, components = self._cells.label(cell, above_m < body_m)
-        top_m, most_m = component_tops(above_m, label, components), np.float32(self._config.max_height_m)
-        foot, roof = self._cells.extract_foot(cell, above_m, label, top_m > most_m, body_m)
-        tall = tall_components(above_m, label, top_m, body_m, most_m)
-        overhang = extract_overhang(above_m, label, tall, body_m)
-        for apart in (foot, roof, overhang):  # each has components of its own
-            own, more = self._cells.label(cell[apart], np.ones(len(apart), np.bool_))
-            label[apart] = np.where(own >= 0, own + components, -1)
-            components += more
-        if self._config.body_height_m:
-            drop_strays(above_m, label, components)
-        return label
 
     def _has_possible_size(self, found: ClusterPoints) -> np.ndarray:
         """(K,) bool."""

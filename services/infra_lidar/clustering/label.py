@@ -6,9 +6,11 @@ were used are cleared, so time is linear in the points and independent of the si
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from services.infra_lidar.clustering.grid import CellGrid
+from services.infra_lidar.clustering.grid import CellScale, cells_of
 from services.infra_lidar.clustering.merge_vehicles import WHOLE_CAR_TOP_M
 from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.jit import kernel
@@ -18,64 +20,101 @@ TALL_SHARE = 0.03  # of its points
 TALL_POINTS = 3
 CAR_TOP_M = np.float32(WHOLE_CAR_TOP_M)
 BRANCH_M = np.float32(1.0)  # branches have nothing lower
-LOW, HIGH = 1, 2  # what a cell has: points near the road, points above body height
 STRAY_SHARE = 0.01  # of a component's points at most are strays
 STRAY_GAP_M = np.float32(0.4)  # and at least this far above all others
 LAYER_M, LAYERS = np.float32(0.1), 64  # heights are counted in layers of this thickness
 
 
-class CellLabeller:
-    """Labels the points of one sensor's frames by connected component. Holds the grid: one thread at a time."""
+class Cells(NamedTuple):
+    """The C cells of the grid that M points lie in, in the order of the points.
 
-    def __init__(self, config: ClusteringConfig, grid: CellGrid) -> None:
-        self._grid, self._min_cell_points, self._eight = grid, config.min_cell_points, config.connectivity == 8
-        self._node_of_cell = np.full(grid.side * grid.side, -1, np.int32)
-        self._reach = np.zeros(grid.side * grid.side, np.uint8)
+    place: (C,) int32, row * side + column in the grid. of_point: (M,) int32, the cell of each point, 0..C-1. low, band:
+    (C,) int32, number of points below the height of a body, and of those in its uppermost ``BAND_M``. bottom_m, top_m:
+    (C,) float32, height of the lowest and of the highest point above the local road.
+    """
 
-    def label(self, cell: np.ndarray, fills: np.ndarray) -> tuple[np.ndarray, int]:
-        """Component of each point.
+    place: np.ndarray
+    of_point: np.ndarray
+    low: np.ndarray
+    band: np.ndarray
+    bottom_m: np.ndarray
+    top_m: np.ndarray
 
-        cell: (M,) int32, as by ``cells_of``. fills: (M,) bool, the points that occupy cells; the others only take the
-        label of the cell that they lie in. Returns (M,) int32 labels 0..K-1, -1 = the cell is not occupied; and K.
-        """
-        cells, count = occupy(cell, fills, self._node_of_cell)
-        components, number = join_cells(
-            cells, count >= self._min_cell_points, self._node_of_cell, self._grid.side, self._eight
-        )
-        label = labels_of_points(cell, self._node_of_cell, components)
-        self._node_of_cell[cells] = -1
-        return label, number
 
-    def extract_foot(
-        self, cell: np.ndarray, above_m: np.ndarray, label: np.ndarray, higher: np.ndarray, body_m: np.float32
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Index (int32) of points in ``higher`` (K,) bool components: what stands on the road, and what may be a roof.
+class LabelRules(NamedTuple):
+    """``ClusteringConfig`` as the kernels take it: heights above the local road in m, float32.
 
-        What is higher than any vehicle is a tree, a post or a house. A car at its foot touches it through branches:
-        cells in which nothing is near the road and something is above body height. What is no higher there than a car
-        may be the roof of one below the branches; it is merged with its car again.
-        """
-        return _points_at_foot(above_m, label, higher, _in_branches(cell, above_m, body_m, self._reach), body_m)
+    body_m: points below this height occupy cells, inf = all do. most_m: height of the highest vehicle. eight: cells
+    that touch at a corner are neighbours, too.
+    """
+
+    min_cell_points: int
+    eight: bool
+    body_m: np.float32
+    most_m: np.float32
+
+
+def label_rules(config: ClusteringConfig) -> LabelRules:
+    """The rules in a configuration."""
+    body_m, most_m = np.float32(config.body_height_m or np.inf), np.float32(config.max_height_m)
+    return LabelRules(config.min_cell_points, config.connectivity == 8, body_m, most_m)
 
 
 @kernel
-def occupy(cell: np.ndarray, fills: np.ndarray, node_of_cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cells (C,) int32 with a point that fills, in the order of the points, and how many such points each has (C,).
+def label_points(points: np.ndarray, grid: CellScale, rules: LabelRules, cell_at: np.ndarray) -> np.ndarray:
+    """Component of each point, (M,) int32, 0..K-1, -1 = none.
 
-    node_of_cell is -1 everywhere and receives the place of each of these cells in the list.
+    points: (M, 4) float32 as in ``Obstacles``. cell_at: (side * side,) int32 scratch, -1 before and after.
     """
-    cells, count, nodes = np.empty(len(cell), np.int32), np.zeros(len(cell), np.int32), 0
-    for i in range(len(cell)):
-        if not fills[i]:
-            continue
-        node = node_of_cell[cell[i]]
-        if node < 0:
-            node = nodes
-            node_of_cell[cell[i]] = node
-            cells[node] = cell[i]
-            nodes += 1
-        count[node] += 1
-    return cells[:nodes], count[:nodes]
+    place, above_m, all_heights = cells_of(points, grid), points[:, 3].copy(), np.float32(np.inf)
+    cells, component, number = _components(place, above_m, rules.body_m, grid, rules, cell_at)
+    label = component[cells.of_point]
+    if rules.body_m == all_heights:
+        return label
+    tall, higher = _tall_and_higher(cells, component, number, rules.most_m)
+    for apart in _points_apart(cells, above_m, tall, higher, rules.body_m):  # each has components of its own
+        cells, component, more = _components(place[apart], above_m[apart], all_heights, grid, rules, cell_at)
+        for i in range(len(apart)):
+            k = component[cells.of_point[i]]
+            label[apart[i]] = number + k if k >= 0 else -1
+        number += more
+    _drop_strays(above_m, label, number)
+    return label
+
+
+@kernel
+def _components(
+    place: np.ndarray, above_m: np.ndarray, body_m: np.float32, grid: CellScale, rules: LabelRules, cell_at: np.ndarray
+) -> tuple[Cells, np.ndarray, int]:
+    """The cells of the points, the component of each cell (C,) int32, 0..K-1, -1 = it is not occupied, and K."""
+    cells = _list_cells(place, above_m, body_m, cell_at)
+    occupied = cells.low >= rules.min_cell_points
+    component, number = _join_cells(cells.place, occupied, grid.side, rules.eight, cell_at)
+    for at in cells.place:
+        cell_at[at] = -1
+    return cells, component, number
+
+
+@kernel
+def _list_cells(place: np.ndarray, above_m: np.ndarray, body_m: np.float32, cell_at: np.ndarray) -> Cells:
+    """``Cells`` of the points; cell_at: (side * side,) int32 is -1 everywhere and receives the number of each cell."""
+    n, number = len(place), 0
+    where, of_point = np.empty(n, np.int32), np.empty(n, np.int32)
+    low, band = np.empty(n, np.int32), np.empty(n, np.int32)
+    bottom_m, top_m = np.empty(n, np.float32), np.empty(n, np.float32)
+    band_m = body_m - BAND_M
+    for i in range(n):
+        cell, height = cell_at[place[i]], above_m[i]
+        if cell < 0:
+            cell = number
+            cell_at[place[i]], where[cell] = cell, place[i]
+            low[cell], band[cell], bottom_m[cell], top_m[cell] = 0, 0, height, height
+            number += 1
+        of_point[i] = cell
+        low[cell] += height < body_m
+        band[cell] += (height >= band_m) & (height < body_m)
+        bottom_m[cell], top_m[cell] = min(bottom_m[cell], height), max(top_m[cell], height)
+    return Cells(where[:number], of_point, low[:number], band[:number], bottom_m[:number], top_m[:number])
 
 
 @kernel
@@ -87,127 +126,98 @@ def _root(parent: np.ndarray, node: int) -> int:
 
 
 @kernel
-def join_cells(
-    cells: np.ndarray, occupied: np.ndarray, node_of_cell: np.ndarray, side: int, eight: bool
+def _join_cells(
+    place: np.ndarray, occupied: np.ndarray, side: int, eight: bool, cell_at: np.ndarray
 ) -> tuple[np.ndarray, int]:
     """Component (C,) int32 of each cell, -1 where it is not ``occupied`` (C,) bool; and the number of components.
 
     eight: cells that touch at a corner are neighbours, too.
     """
-    parent = np.arange(len(cells)).astype(np.int32)
+    parent = np.arange(len(place)).astype(np.int32)
     steps = np.array([1, side, side - 1, side + 1])  # right, below, below left, below right
-    for node in range(len(cells)):
-        if not occupied[node]:
+    for cell in range(len(place)):
+        if not occupied[cell]:
             continue
-        column = cells[node] % side
+        column = place[cell] % side
         for k in range(4 if eight else 2):
             beyond_left, beyond_right = k == 2 and column == 0, (k == 0 or k == 3) and column == side - 1
-            place = cells[node] + steps[k]
-            if beyond_left or beyond_right or place >= len(node_of_cell):
+            beside = place[cell] + steps[k]
+            if beyond_left or beyond_right or beside >= len(cell_at):
                 continue
-            other = node_of_cell[place]
+            other = cell_at[beside]
             if other >= 0 and occupied[other]:
-                a, b = _root(parent, node), _root(parent, other)
+                a, b = _root(parent, cell), _root(parent, other)
                 parent[max(a, b)] = min(a, b)
-    component, number = np.full(len(cells), -1, np.int32), 0
-    for node in range(len(cells)):  # a root is the smallest node of its component, so it comes first
-        if not occupied[node]:
+    component, number = np.full(len(place), -1, np.int32), 0
+    for cell in range(len(place)):  # a root is the smallest cell of its component, so it comes first
+        if not occupied[cell]:
             continue
-        root = _root(parent, node)
-        if root == node:
-            component[node] = number
+        root = _root(parent, cell)
+        if root == cell:
+            component[cell] = number
             number += 1
         else:
-            component[node] = component[root]
+            component[cell] = component[root]
     return component, number
 
 
 @kernel
-def labels_of_points(cell: np.ndarray, node_of_cell: np.ndarray, component: np.ndarray) -> np.ndarray:
-    """(M,) int32: the component of each point's cell, -1 = none."""
-    label = np.empty(len(cell), np.int32)
-    for i in range(len(cell)):
-        node = node_of_cell[cell[i]]
-        label[i] = component[node] if node >= 0 else -1
-    return label
-
-
-@kernel
-def component_tops(above_m: np.ndarray, label: np.ndarray, components: int) -> np.ndarray:
-    """(K,) float32, height (m) of the highest point of each component, 0 at least.
-
-    above_m: (M,) float32, height above the local road. label: (M,) int32, component of each point, -1 = none.
-    """
-    top_m = np.zeros(components, np.float32)
-    for i in range(len(label)):
-        if label[i] >= 0:
-            top_m[label[i]] = max(top_m[label[i]], above_m[i])
-    return top_m
-
-
-@kernel
-def tall_components(
-    above_m: np.ndarray, label: np.ndarray, top_m: np.ndarray, body_m: np.float32, most_m: np.float32
-) -> np.ndarray:
-    """(K,) bool: components whose points reach the top of the body height, and end below ``most_m``.
-
-    top_m: (K,) as by ``component_tops``, the others as there.
-    """
-    number, in_band = np.zeros(len(top_m), np.int32), np.zeros(len(top_m), np.int32)
-    for i in range(len(label)):
-        if label[i] >= 0 and above_m[i] < body_m:
-            number[label[i]] += 1
-            in_band[label[i]] += above_m[i] >= body_m - BAND_M
-    return (in_band >= TALL_POINTS) & (in_band >= TALL_SHARE * number) & (top_m <= most_m)
-
-
-@kernel
-def _in_branches(cell: np.ndarray, above_m: np.ndarray, body_m: np.float32, reach: np.ndarray) -> np.ndarray:
-    """(M,) bool: points in cells that hold branches. reach: (cells of the grid,) uint8, 0 before and after."""
-    for i in range(len(cell)):
-        if above_m[i] < BRANCH_M:
-            reach[cell[i]] |= LOW
-        elif above_m[i] >= body_m:
-            reach[cell[i]] |= HIGH
-    found = np.empty(len(cell), np.bool_)
-    for i in range(len(cell)):
-        found[i] = reach[cell[i]] == HIGH
-    for i in range(len(cell)):
-        reach[cell[i]] = 0
-    return found
-
-
-@kernel
-def _points_at_foot(
-    above_m: np.ndarray, label: np.ndarray, higher: np.ndarray, in_branches: np.ndarray, body_m: np.float32
+def _tall_and_higher(
+    cells: Cells, component: np.ndarray, number: int, most_m: np.float32
 ) -> tuple[np.ndarray, np.ndarray]:
-    foot, roof = np.empty(len(label), np.int32), np.empty(len(label), np.int32)
-    feet = roofs = 0
-    for i in range(len(label)):
-        if above_m[i] >= body_m or label[i] < 0 or not higher[label[i]]:
-            continue
-        if not in_branches[i]:
+    """(C,) bool: cells of components whose points reach the top of the body height and end below ``most_m``; and those
+    of components that are higher. component: (C,) int32, of ``number`` components."""
+    low, band, top_m = np.zeros(number, np.int32), np.zeros(number, np.int32), np.zeros(number, np.float32)
+    for cell in range(len(component)):
+        k = component[cell]
+        if k >= 0:
+            low[k], band[k], top_m[k] = (
+                low[k] + cells.low[cell],
+                band[k] + cells.band[cell],
+                max(top_m[k], cells.top_m[cell]),
+            )
+    reaches_up = (band >= TALL_POINTS) & (band >= TALL_SHARE * low)
+    tall, higher = np.zeros(len(component), np.bool_), np.zeros(len(component), np.bool_)
+    for cell in range(len(component)):
+        k = component[cell]
+        tall[cell] = k >= 0 and reaches_up[k] and top_m[k] <= most_m
+        higher[cell] = k >= 0 and top_m[k] > most_m
+    return tall, higher
+
+
+@kernel
+def _points_apart(
+    cells: Cells, above_m: np.ndarray, tall: np.ndarray, higher: np.ndarray, body_m: np.float32
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Index (int32) of the points that form components of their own: feet, roofs and overhang.
+
+    What is higher than any vehicle is a tree, a post or a house, and its foot is what stands on the road. A car there
+    touches it through branches: cells in which nothing is near the road and something is above body height. What is no
+    higher in these than a car may be the roof of one below them; it is merged with its car again. What is above body
+    height hangs over the road, unless it is part of something tall.
+
+    tall, higher: (C,) bool as by ``_tall_and_higher``.
+    """
+    n, feet, roofs, number = len(above_m), 0, 0, 0
+    foot, roof, overhang = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
+    in_branches = (cells.bottom_m >= BRANCH_M) & (cells.top_m >= body_m)
+    for i in range(n):
+        cell = cells.of_point[i]
+        if above_m[i] >= body_m:
+            if not tall[cell]:
+                overhang[number] = i
+                number += 1
+        elif higher[cell] and not in_branches[cell]:
             foot[feet] = i
             feet += 1
-        elif above_m[i] < CAR_TOP_M:
+        elif higher[cell] and above_m[i] < CAR_TOP_M:
             roof[roofs] = i
             roofs += 1
-    return foot[:feet], roof[:roofs]
+    return foot[:feet], roof[:roofs], overhang[:number]
 
 
 @kernel
-def extract_overhang(above_m: np.ndarray, label: np.ndarray, tall: np.ndarray, body_m: np.float32) -> np.ndarray:
-    """(H,) int32: index of the points above body height that do not belong to a ``tall`` (K,) bool component."""
-    overhang, number = np.empty(len(label), np.int32), 0
-    for i in range(len(label)):
-        if above_m[i] >= body_m and (label[i] < 0 or not tall[label[i]]):
-            overhang[number] = i
-            number += 1
-    return overhang[:number]
-
-
-@kernel
-def drop_strays(above_m: np.ndarray, label: np.ndarray, components: int) -> None:
+def _drop_strays(above_m: np.ndarray, label: np.ndarray, components: int) -> None:
     """Write -1 to the label of the few returns that hang above all others of their component.
 
     Leaves over a car, birds and mixed pixels: three of them above 875 returns made a car higher than cars are.

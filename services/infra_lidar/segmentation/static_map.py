@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.clustering.boxes import ClusterPoints
-from services.infra_lidar.clustering.grid import CellGrid, cells_of
+from services.infra_lidar.clustering.grid import CellGrid, CellScale, cells_of
 from services.infra_lidar.config import ClusteringConfig
+from services.infra_lidar.jit import kernel
 from services.infra_lidar.segmentation.ground import Obstacles
 
-LOW, HIGH = 0, 1  # layers: below and above a body's height
 STANDING_SHARE = 0.5  # of the frames: what stands in a cell less often is not fixed
 MAX_ROAD_USER = 0.5  # mean confidence that a cell is a road user's, from which on it is left out
 
@@ -23,7 +23,7 @@ class MapCells:
 
     def __init__(self, config: ClusteringConfig, range_max_m: float) -> None:
         self._grid = CellGrid(config, range_max_m)
-        self._body_m = config.body_height_m or np.inf
+        self._body_m = np.float32(config.body_height_m or np.inf)
         self.shape = 2, self._grid.side, self._grid.side
 
     def fits(self, static_map: np.ndarray) -> bool:
@@ -31,14 +31,33 @@ class MapCells:
         return not static_map.size or (static_map.shape == self.shape and static_map.dtype == bool)
 
     def cells(self, points: np.ndarray) -> np.ndarray:
-        """(M,) int64 index into the flat map, of points (M, 4) float32 x, y, z (m) and height above the road (m)."""
-        layer = np.where(points[:, 3] >= self._body_m, HIGH, LOW)
-        return np.asarray(layer * self._grid.side**2 + cells_of(points, self._grid.scale))
+        """(M,) int32 index into the flat map, of points (M, 4) float32 x, y, z (m) and height above the road (m)."""
+        return cells_in_layers(points, self._grid.scale, self._body_m)
 
     def share_within(self, static_map: np.ndarray, clusters: ClusterPoints) -> np.ndarray:
         """(K,) share of the points of each cluster within fixed things."""
-        within = np.concatenate(([0], np.cumsum(static_map.ravel()[self.cells(clusters.points)])))
-        return np.asarray(np.diff(within[clusters.offsets]) / clusters.counts)
+        return share_set(static_map.ravel(), self.cells(clusters.points), clusters.offsets)
+
+
+@kernel
+def cells_in_layers(points: np.ndarray, grid: CellScale, body_m: np.float32) -> np.ndarray:
+    """``MapCells.cells`` where bodies are ``body_m`` high."""
+    cell, layer = cells_of(points, grid), np.int32(grid.side * grid.side)
+    for i in range(len(cell)):
+        cell[i] += layer * np.int32(points[i, 3] >= body_m)
+    return cell
+
+
+@kernel
+def share_set(flat_map: np.ndarray, cell: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """(K,) share of the cells offsets[k]:offsets[k + 1] in which flat_map (cells,) bool is set."""
+    share = np.empty(len(offsets) - 1)
+    for k in range(len(share)):
+        within = 0
+        for i in range(offsets[k], offsets[k + 1]):
+            within += flat_map[cell[i]]
+        share[k] = within / (offsets[k + 1] - offsets[k])
+    return share
 
 
 class Occupancy:
