@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from services.infra_lidar.config import ClusteringConfig
 from services.infra_lidar.jit import kernel
 
 
@@ -124,49 +125,77 @@ def _principal_axis(points: np.ndarray) -> tuple[np.float32, np.float32]:
     return np.float32(c), np.float32(s if twice >= 0.0 else -s)
 
 
-@kernel
-def join_clusters(clusters: ClusterPoints, group: np.ndarray, kept: np.ndarray) -> ClusterPoints:
-    """Clusters joined and selected.
+class SizeRules(NamedTuple):
+    """How many points a cluster has and how large its box is, in m: at most its height and the diagonal of its
+    footprint, at least the height of its top above the road."""
 
-    group: (K,) int32, the smallest index of the clusters that each one is joined with. kept: (K,) bool, by the same
-    index, the joined clusters to keep.
+    min_points: int
+    max_points: int
+    max_height_m: np.float32
+    min_top_m: np.float32
+    max_diagonal_m: np.float32
+
+
+def size_rules(config: ClusteringConfig) -> SizeRules:
+    """The rules in a configuration."""
+    lengths_m = (np.float32(m) for m in (config.max_height_m, config.min_top_m, config.max_diagonal_m))
+    return SizeRules(config.min_points, config.max_points, *lengths_m)
+
+
+@kernel
+def join_clusters(clusters: ClusterPoints, group: np.ndarray, rules: SizeRules) -> ClusterPoints:
+    """Clusters joined, without those that have no possible size.
+
+    group: (K,) int32, the smallest index of the clusters that each one is joined with.
     """
-    offsets, total, number = clusters.offsets, 0, 0
-    for k in range(len(group)):
-        total += offsets[k + 1] - offsets[k] if kept[group[k]] else 0
-        number += group[k] == k and kept[k]
     following, last = np.full(len(group), -1, np.int32), np.arange(len(group))
     for k in range(len(group)):
         if group[k] != k:
             following[last[group[k]]] = k
             last[group[k]] = k
-    out = ClusterPoints(
-        np.empty((total, 4), np.float32), np.empty(total, np.int32), np.zeros(number + 1, np.int32),
-        np.empty((number, 8), np.float32),
-    )  # fmt: skip
-    at, to = 0, np.uint32(0)
+    total = len(clusters.members)
+    points, members = np.empty((total, 4), np.float32), np.empty(total, np.int32)
+    offsets, box, number = np.zeros(len(group) + 1, np.int32), clusters.box.copy(), 0
     for first in range(len(group)):
-        if group[first] != first or not kept[first]:
+        alone = following[first] < 0
+        if group[first] != first or (alone and not _fits(clusters.box[first], _count(clusters, first), rules)):
             continue
-        k = first
+        begin, k = np.uint32(offsets[number]), first
+        end = begin
         while k >= 0:
-            to, k = _append_points(clusters, k, out, to), following[k]
-        if following[first] >= 0:
-            fit_box(out.points[out.offsets[at] : to], out.box[at])
-        else:
-            for column in range(out.box.shape[1]):
-                out.box[at, column] = clusters.box[first, column]
-        at += 1
-        out.offsets[at] = to
-    return out
+            end, k = _append_points(clusters, k, points, members, end), following[k]
+        box[number] = clusters.box[first]
+        if not alone:
+            fit_box(points[begin:end], box[number])
+        if alone or _fits(box[number], end - begin, rules):
+            number += 1
+            offsets[number] = end
+    end = offsets[number]
+    return ClusterPoints(points[:end], members[:end], offsets[: number + 1], box[:number])
 
 
 @kernel
-def _append_points(clusters: ClusterPoints, k: int, out: ClusterPoints, to: np.uint32) -> np.uint32:
-    """Copy the points of cluster k to the rows of ``out`` from ``to`` on; returns the row after them."""
+def _count(clusters: ClusterPoints, k: int) -> int:
+    return clusters.offsets[k + 1] - clusters.offsets[k]
+
+
+@kernel
+def _fits(box: np.ndarray, count: int, rules: SizeRules) -> bool:
+    """Whether a cluster of ``count`` points with this box (8,) has a possible size."""
+    tall, top_m = box[5], box[7] + box[5]
+    if count < rules.min_points or count > rules.max_points or tall > rules.max_height_m or top_m < rules.min_top_m:
+        return False
+    return math.hypot(box[3], box[4]) <= rules.max_diagonal_m
+
+
+@kernel
+def _append_points(
+    clusters: ClusterPoints, k: int, points: np.ndarray, members: np.ndarray, to: np.uint32
+) -> np.uint32:
+    """Copy the points of cluster k to the rows of points and members from ``to`` on; returns the row after them."""
     for i in range(clusters.offsets[k], clusters.offsets[k + 1]):
-        out.members[to] = clusters.members[i]
+        members[to] = clusters.members[i]
         for column in range(4):
-            out.points[to, column] = clusters.points[i, column]
+            points[to, column] = clusters.points[i, column]
         to += np.uint32(1)
     return to

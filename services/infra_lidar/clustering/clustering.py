@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.infra_lidar.clustering.attach_returns import attach_single_returns
-from services.infra_lidar.clustering.boxes import ClusterPoints, group_by_label, join_clusters
+from services.infra_lidar.clustering.boxes import ClusterPoints, group_by_label, join_clusters, size_rules
 from services.infra_lidar.clustering.grid import CellGrid
 from services.infra_lidar.clustering.label import label_points, label_rules
 from services.infra_lidar.clustering.merge_vehicles import footprints, merge_fragments
@@ -26,7 +26,7 @@ class Clustering:
     def __init__(self, config: ClusteringConfig, range_max_m: float) -> None:
         self._config = config
         self._grid = CellGrid(config, range_max_m)
-        self._rules = label_rules(config)
+        self._rules, self._sizes = label_rules(config), size_rules(config)
         self._cell_at = np.full(self._grid.side**2, -1, np.int32)
 
     def cluster(self, obstacles: Obstacles) -> ClusterPoints:
@@ -45,18 +45,11 @@ class Clustering:
             found, is_person = split_pedestrian_groups(found, self._grid.scale, config.min_points)
 
         # Fragments and single returns of one vehicle are merged
+        group = np.arange(len(found.box), dtype=np.int32)
         if config.merge == "fragments":
             foot, counts = footprints(found.box), found.counts
             group = merge_fragments(found.box, foot, counts, is_person)
             attach_single_returns(foot, counts, config.min_points, group)
-            found = join_clusters(found, group, np.bincount(group, counts, len(group)) >= config.min_points)
 
         # What has a possible size is kept
-        return join_clusters(found, np.arange(len(found.box)), self._has_possible_size(found))
-
-    def _has_possible_size(self, found: ClusterPoints) -> np.ndarray:
-        """(K,) bool."""
-        config, count, box = self._config, found.counts, found.box
-        possible = (count >= config.min_points) & (count <= config.max_points) & (box[:, 5] <= config.max_height_m)
-        possible &= box[:, 7] + box[:, 5] >= config.min_top_m
-        return np.asarray(possible & (np.hypot(box[:, 3], box[:, 4]) <= config.max_diagonal_m))
+        return join_clusters(found, group, self._sizes)
