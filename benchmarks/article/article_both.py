@@ -23,6 +23,7 @@ from services.infra_lidar.classification.forest import Forest
 from services.infra_lidar.clustering.boxes import ClusterPoints
 from services.infra_lidar.clustering.clustering import Clustering
 from services.infra_lidar.config import ClassifierConfig
+from services.infra_lidar.jit import kernel
 from services.infra_lidar.segmentation.ground import Ground
 from services.infra_lidar.training.train import flatten
 
@@ -85,11 +86,16 @@ def article_table(found: ClusterPoints) -> np.ndarray:
     return table
 
 
+@kernel
 def mean_points(found: ClusterPoints) -> np.ndarray:
     """(K, 3) float64, the mean of the points of each cluster (m): what the article's tracker measures."""
-    if not len(found.box):
-        return np.empty((0, 3))
-    return np.add.reduceat(found.points[:, :3], found.offsets[:-1], axis=0, dtype=np.float64) / found.counts[:, None]
+    mean = np.zeros((len(found.box), 3))
+    for k in range(len(mean)):
+        for i in range(found.offsets[k], found.offsets[k + 1]):
+            for axis in range(3):
+                mean[k, axis] += found.points[i, axis]
+        mean[k] /= found.offsets[k + 1] - found.offsets[k]
+    return mean
 
 
 class ArticleByKernels:

@@ -1,68 +1,131 @@
-"""The article's tracker without loops over pairs: the same filter, gate and lifecycle as ``plain_infra_lidar.Tracker``.
+"""The article's tracker by plain loops: the same filter, gate and lifecycle as ``plain_infra_lidar.Tracker``.
 
 With diagonal Q, R and initial covariance the six-state filter falls apart into three two-state filters that share one
-covariance, so the squared Mahalanobis distance is |y|^2 / S and everything stacks into a few arrays.
+covariance, so the squared Mahalanobis distance is |y|^2 / S.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from services.infra_lidar.jit import kernel
+
+Q_POSITION, Q_VELOCITY, R = 0.5, 2.0, 0.3  # added by a step, and of a measurement
+NEW_POSITION, NEW_VELOCITY = 0.5, 10.0  # variances of a new track
+GATE, MOST_COST, NO_PAIR = 7.81, 5.0, 1e6
+CONFIRMED_HITS, TENTATIVE_MISSES, CONFIRMED_MISSES = 2, 1, 3
+
+
+class Tracks(NamedTuple):
+    """T tracks: number, label, hits, misses (T,) int64, confirmed (T,) bool, state (T, 6) position and velocity, and
+    covariance (T, 3): variance of the position, covariance of position and velocity, variance of the velocity."""
+
+    number: np.ndarray
+    label: np.ndarray
+    hits: np.ndarray
+    misses: np.ndarray
+    confirmed: np.ndarray
+    state: np.ndarray
+    covariance: np.ndarray
+
 
 class ArticleTracker:
-    """Tracks as arrays: number, label (T,), state (T, 6), covariance p, c, v (T, 3) of position and velocity."""
+    """``tracks`` from one frame to the next."""
 
     def __init__(self, dt_s: float = 0.1) -> None:
-        self._dt_s = dt_s
-        self.number, self.label = np.zeros(0, np.int64), np.zeros(0, np.int64)
-        self.state, self._cov = np.zeros((0, 6)), np.zeros((0, 3))
-        self._hits, self._misses = np.zeros(0, np.int64), np.zeros(0, np.int64)
-        self.confirmed = np.zeros(0, bool)
-        self._next = 0
+        self._dt_s, self._next, self.tracks = dt_s, 0, _no_tracks(0)
 
     def update(self, centres: np.ndarray, labels: np.ndarray) -> None:
         """Detections (K, 3) with their class (K,)."""
-        dt = self._dt_s
-        self.state[:, :3] += dt * self.state[:, 3:]
-        p, c, v = self._cov.T
-        self._cov = np.stack([p + 2 * dt * c + dt * dt * v + 0.5, c + dt * v, v + 2.0], axis=1)
-        taken = self._associate(centres, labels)
-        hit = taken >= 0
-        self._correct(hit, centres[taken[hit]])
-        self._hits[hit] += 1
-        self._misses = np.where(hit, 0, self._misses + 1)
-        self.confirmed |= self._hits >= 2
-        alive = self._misses < np.where(self.confirmed, 3, 1)
-        free = np.setdiff1d(np.arange(len(centres)), taken[hit])
-        self._keep_and_add(alive, centres[free], labels[free])
-
-    def _associate(self, centres: np.ndarray, labels: np.ndarray) -> np.ndarray:
-        apart = self.state[:, None, :3] - centres[None]
-        d2 = np.einsum("tki,tki->tk", apart, apart) / (self._cov[:, 0] + 0.3)[:, None]
-        allowed = (d2 <= 7.81) & (self.label[:, None] == labels[None])
-        cost = np.where(allowed, np.sqrt(d2), 1e6)
-        taken = np.full(len(self.state), -1)
+        tracks, centres = self.tracks, np.ascontiguousarray(centres, np.float64)
+        _predict(tracks, self._dt_s)
+        cost = _costs(tracks, centres, labels)
         rows, columns = linear_sum_assignment(cost)
-        good = cost[rows, columns] < 5.0
-        taken[rows[good]] = columns[good]
-        return taken
+        taken = np.full(len(tracks.number), -1)
+        taken[rows] = np.where(cost[rows, columns] < MOST_COST, columns, -1)
+        alive = _correct(tracks, centres, taken)
+        self.tracks = _with_new(tracks, alive, centres, labels, taken, self._next)
+        self._next += len(centres) - np.count_nonzero(taken >= 0)
 
-    def _correct(self, hit: np.ndarray, measured: np.ndarray) -> None:
-        p, c, v = self._cov[hit].T
-        gain_p, gain_v = p / (p + 0.3), c / (p + 0.3)
-        y = measured - self.state[hit, :3]
-        self.state[hit, :3] += gain_p[:, None] * y
-        self.state[hit, 3:] += gain_v[:, None] * y
-        self._cov[hit] = np.stack([(1 - gain_p) * p, (1 - gain_p) * c, v - gain_v * c], axis=1)
 
-    def _keep_and_add(self, alive: np.ndarray, centres: np.ndarray, labels: np.ndarray) -> None:
-        n = len(centres)
-        self.number = np.append(self.number[alive], self._next + np.arange(n))
-        self._next += n
-        self.label = np.append(self.label[alive], labels)
-        self.state = np.vstack([self.state[alive], np.hstack([centres, np.zeros((n, 3))])])
-        self._cov = np.vstack([self._cov[alive], np.tile([0.5, 0.0, 10.0], (n, 1))])
-        self._hits = np.append(self._hits[alive], np.ones(n, np.int64))
-        self._misses = np.append(self._misses[alive], np.zeros(n, np.int64))
-        self.confirmed = np.append(self.confirmed[alive], np.zeros(n, bool))
+@kernel
+def _no_tracks(n: int) -> Tracks:
+    """n tracks, all zero."""
+    return Tracks(
+        np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64),
+        np.zeros(n, np.bool_), np.zeros((n, 6)), np.zeros((n, 3)),
+    )  # fmt: skip
+
+
+@kernel
+def _predict(tracks: Tracks, dt_s: float) -> None:
+    for t in range(len(tracks.number)):
+        for axis in range(3):
+            tracks.state[t, axis] += dt_s * tracks.state[t, 3 + axis]
+        p, c, v = tracks.covariance[t]
+        tracks.covariance[t, 0] = p + 2.0 * dt_s * c + dt_s * dt_s * v + Q_POSITION
+        tracks.covariance[t, 1], tracks.covariance[t, 2] = c + dt_s * v, v + Q_VELOCITY
+
+
+@kernel
+def _costs(tracks: Tracks, centres: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """(T, K) Mahalanobis distance of detections of the same class within the gate, else ``NO_PAIR``."""
+    cost = np.full((len(tracks.number), len(centres)), NO_PAIR)
+    for t in range(len(tracks.number)):
+        for k in range(len(centres)):
+            if labels[k] == tracks.label[t]:
+                squared = 0.0
+                for axis in range(3):
+                    squared += (centres[k, axis] - tracks.state[t, axis]) ** 2
+                squared /= tracks.covariance[t, 0] + R
+                if squared <= GATE:
+                    cost[t, k] = np.sqrt(squared)
+    return cost
+
+
+@kernel
+def _correct(tracks: Tracks, centres: np.ndarray, taken: np.ndarray) -> np.ndarray:
+    """Update the tracks with the detection that each has taken (T,), -1 = none; returns (T,) bool, which live on."""
+    alive = np.empty(len(taken), np.bool_)
+    for t in range(len(taken)):
+        if taken[t] >= 0:
+            p, c, v = tracks.covariance[t]
+            gain_p, gain_v = p / (p + R), c / (p + R)
+            for axis in range(3):
+                y = centres[taken[t], axis] - tracks.state[t, axis]
+                tracks.state[t, axis] += gain_p * y
+                tracks.state[t, 3 + axis] += gain_v * y
+            tracks.covariance[t, 0], tracks.covariance[t, 1] = (1.0 - gain_p) * p, (1.0 - gain_p) * c
+            tracks.covariance[t, 2] = v - gain_v * c
+            tracks.hits[t] += 1
+        tracks.misses[t] = 0 if taken[t] >= 0 else tracks.misses[t] + 1
+        tracks.confirmed[t] |= tracks.hits[t] >= CONFIRMED_HITS
+        alive[t] = tracks.misses[t] < (CONFIRMED_MISSES if tracks.confirmed[t] else TENTATIVE_MISSES)
+    return alive
+
+
+@kernel
+def _with_new(
+    tracks: Tracks, alive: np.ndarray, centres: np.ndarray, labels: np.ndarray, taken: np.ndarray, number: int
+) -> Tracks:
+    """The tracks that live on, then one for each detection that none has taken, numbered from ``number`` on."""
+    free = np.ones(len(centres), np.bool_)
+    for k in taken:
+        if k >= 0:
+            free[k] = False
+    kept, new = np.flatnonzero(alive), np.flatnonzero(free)
+    out = _no_tracks(len(kept) + len(new))
+    for i in range(len(kept)):
+        t = kept[i]
+        out.number[i], out.label[i], out.hits[i] = tracks.number[t], tracks.label[t], tracks.hits[t]
+        out.misses[i], out.confirmed[i] = tracks.misses[t], tracks.confirmed[t]
+        out.state[i], out.covariance[i] = tracks.state[t], tracks.covariance[t]
+    for i in range(len(new)):
+        to = len(kept) + i
+        out.number[to], out.label[to], out.hits[to] = number + i, labels[new[i]], 1
+        out.state[to, :3] = centres[new[i]]
+        out.covariance[to, 0], out.covariance[to, 2] = NEW_POSITION, NEW_VELOCITY
+    return out

@@ -1,4 +1,4 @@
-"""The article's tracker, stacked in numpy: equal to the plain one that loops over tracks and pairs."""
+"""The article's tracker, by plain loops: equal to the plain one that loops over tracks and pairs."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def street(rng: np.random.Generator, objects: int, frames: int) -> list[tuple[np
 
 @pytest.mark.parametrize("seed", range(6))
 def test_both_have_the_same_confirmed_tracks_in_every_frame(seed: int) -> None:
-    stacked, looped, compared = ArticleTracker(), Tracker(), 0
+    ours, looped, compared = ArticleTracker(), Tracker(), 0
     for centres, labels in street(np.random.default_rng(seed), 30, 40):
-        stacked.update(centres, labels)
+        ours.update(centres, labels)
         plain = [(*t.x, t.label) for t in looped.update(centres, labels)]
-        mine = np.column_stack((stacked.state, stacked.label))[stacked.confirmed]
+        mine = np.column_stack((ours.tracks.state, ours.tracks.label))[ours.tracks.confirmed]
         np.testing.assert_allclose(sorted(map(tuple, mine)), sorted(plain), atol=1e-9)
         compared += len(mine)
     assert compared > 600
@@ -37,7 +37,7 @@ def test_a_track_is_confirmed_at_its_second_hit_and_ends_at_its_third_miss() -> 
     tracker, confirmed = ArticleTracker(), []
     for frame in [one, none, one, one, none, none, one, none, none, none]:
         tracker.update(*frame)
-        confirmed.append(tracker.confirmed.tolist())
+        confirmed.append(tracker.tracks.confirmed.tolist())
     new, known = [False], [True]
     assert confirmed == [new, [], new, known, known, known, known, known, known, []]
 
@@ -46,4 +46,4 @@ def test_a_detection_of_another_class_initiates_a_track() -> None:
     tracker = ArticleTracker()
     for label in (4, 4, 4, 3):
         tracker.update(np.array([[5.0, 0.0, 0.5]]), np.array([label]))
-    assert sorted(tracker.label.tolist()) == [3, 4]
+    assert sorted(tracker.tracks.label.tolist()) == [3, 4]

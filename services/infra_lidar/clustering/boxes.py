@@ -167,7 +167,7 @@ def join_clusters(clusters: ClusterPoints, group: np.ndarray, rules: SizeRules) 
         box[number] = clusters.box[first]
         if not alone:
             fit_box(points[begin:end], box[number])
-        if alone or _fits(box[number], end - begin, rules):
+        if alone or _fits(box[number], int(end - begin), rules):
             number += 1
             offsets[number] = end
     end = offsets[number]
@@ -185,7 +185,7 @@ def _fits(box: np.ndarray, count: int, rules: SizeRules) -> bool:
     tall, top_m = box[5], box[7] + box[5]
     if count < rules.min_points or count > rules.max_points or tall > rules.max_height_m or top_m < rules.min_top_m:
         return False
-    return math.hypot(box[3], box[4]) <= rules.max_diagonal_m
+    return bool(math.hypot(box[3], box[4]) <= rules.max_diagonal_m)
 
 
 @kernel

@@ -224,30 +224,17 @@ def _drop_strays(above_m: np.ndarray, label: np.ndarray, components: int) -> Non
 
     above_m: (M,) float32, height above the local road. label: (M,) int32, component of each point, -1 = none.
     """
-    number, row, rows = np.zeros(components, np.int32), np.full(components, -1, np.int32), 0
-    for k in label:
-        if k >= 0:
-            number[k] += 1
+    count, limit_m = np.zeros((components, LAYERS), np.int32), np.full(components, np.inf, np.float32)
+    for i in range(len(label)):
+        if label[i] >= 0:
+            count[label[i], min(max(int(above_m[i] / LAYER_M), 0), LAYERS - 1)] += 1
     for k in range(components):
-        if number[k] * STRAY_SHARE >= 1.0:
-            row[k], rows = rows, rows + 1
-    count, limit_m = _layer_counts(above_m, label, row, rows), np.full(components, np.inf, np.float32)
-    for k in range(components):
-        if row[k] >= 0:
-            limit_m[k] = _top_of_body(count[row[k]], int(number[k] * STRAY_SHARE)) + STRAY_GAP_M
+        strays = int(count[k].sum() * STRAY_SHARE)
+        if strays > 0:
+            limit_m[k] = _top_of_body(count[k], strays) + STRAY_GAP_M
     for i in range(len(label)):
         if label[i] >= 0 and above_m[i] > limit_m[label[i]]:
             label[i] = -1
-
-
-@kernel
-def _layer_counts(above_m: np.ndarray, label: np.ndarray, row: np.ndarray, rows: int) -> np.ndarray:
-    """(rows, LAYERS) int32: points in each layer of the components with a row; row: (K,) int32, -1 = none."""
-    count = np.zeros((rows, LAYERS), np.int32)
-    for i in range(len(label)):
-        if label[i] >= 0 and row[label[i]] >= 0:
-            count[row[label[i]], min(max(int(above_m[i] / LAYER_M), 0), LAYERS - 1)] += 1
-    return count
 
 
 @kernel
