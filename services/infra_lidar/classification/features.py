@@ -13,6 +13,8 @@ Every feature is finite for every cluster, a single point included: what cannot 
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from services.infra_lidar.classification.band_kernels import BAND_NAMES, BANDS
@@ -67,9 +69,7 @@ def compute_features(
     Raises:
         ValueError: an unknown name, an empty cluster, or shapes that do not belong together.
     """
-    unknown = sorted(set(names) - set(FEATURE_NAMES))
-    if unknown:
-        raise ValueError(f"unknown feature(s) {unknown}; known: {', '.join(FEATURE_NAMES)}")
+    columns = _columns(names)
     points = np.ascontiguousarray(points, np.float32)
     offsets = np.ascontiguousarray(offsets, np.int64)
     ground = np.ascontiguousarray(ground_z_m, np.float32)
@@ -77,7 +77,16 @@ def compute_features(
     table = np.empty((len(ground), len(FEATURE_NAMES)), np.float32)
     bands = not set(BAND_NAMES).isdisjoint(names)
     cluster_features(points, offsets, ground, "hull_fill" in names, bands, table)
-    return table[:, [FEATURE_NAMES.index(name) for name in names]]
+    return table.take(columns, axis=1)
+
+
+@cache
+def _columns(names: tuple[str, ...]) -> np.ndarray:
+    """(F,) place of each name in ``FEATURE_NAMES``."""
+    unknown = sorted(set(names) - set(FEATURE_NAMES))
+    if unknown:
+        raise ValueError(f"unknown feature(s) {unknown}; known: {', '.join(FEATURE_NAMES)}")
+    return np.array([FEATURE_NAMES.index(name) for name in names])
 
 
 def _check(points: np.ndarray, offsets: np.ndarray, ground: np.ndarray) -> None:

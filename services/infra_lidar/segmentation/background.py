@@ -200,7 +200,7 @@ def _first_cells(image: RangeImage, columns: int) -> np.ndarray:
 
     Banks beyond the grid's rows are the same beams in another firing order (Hesai): they share their cells.
     """
-    turn = (np.arctan2(image.sin, image.cos) + np.pi) / (2.0 * np.pi)
+    turn = (azimuth_of(image.cos, image.sin) + np.pi) / (2.0 * np.pi)
     column = np.minimum((turn * columns).astype(np.int32), columns - 1)
     return column * RINGS + image.bank * np.int32(image.range_m.shape[1]) % RINGS
 
