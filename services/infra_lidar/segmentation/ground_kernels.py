@@ -219,16 +219,13 @@ def label_with_map(
     foreground: (n, 3) float32 m, sensor frame, all of them returns. frame_index: (n,) int32 index in the frame.
     Returns points, index and is_ground (n,) of ``ground.Obstacles``.
     """
-    n, above = len(foreground), np.empty(len(foreground), np.float32)
     x, y, z, _, _ = level(foreground, T_level_sensor, 0.0)
-    last, per_m = np.int32(len(road.height_m) - 1), np.float32(1.0 / road.cell_m)
-    half = np.float32(len(road.height_m) // 2)
+    place, flat, above = _places_on_map(x, y, road), road.height_m.reshape(-1), np.empty(len(z), np.float32)
     low_m, high_m = np.float32(s.height_min_m), np.float32(s.height_max_m)
-    for i in range(n):
-        row = np.uint32(min(max(np.int32(y[i] * per_m + half), np.int32(0)), last))
-        column = np.uint32(min(max(np.int32(x[i] * per_m + half), np.int32(0)), last))
-        road_z_m = road.height_m[row, column]
-        above[i] = z[i] - road_z_m if (z[i] >= low_m) & (z[i] <= high_m) else np.float32(np.nan)
+    for i in range(len(z)):
+        above[i] = flat[np.uint32(place[i])]
+    for i in range(len(z)):
+        above[i] = z[i] - above[i] if (z[i] >= low_m) & (z[i] <= high_m) else np.float32(np.nan)
     chosen, is_ground = _split(above, s)
     points, index = np.empty((len(chosen), 4), np.float32), np.empty(len(chosen), np.int32)
     for m in range(len(chosen)):
@@ -236,3 +233,14 @@ def label_with_map(
         points[m, 0], points[m, 1], points[m, 2], points[m, 3] = x[i], y[i], z[i], above[i]
         index[m] = frame_index[i]
     return points, index, is_ground
+
+
+@kernel
+def _places_on_map(x: np.ndarray, y: np.ndarray, road: RoadMap) -> np.ndarray:
+    """(N,) int32: row * side + column of x and y (N,) float32 (m); positions outside count to the outermost squares."""
+    place, side, per_m = np.empty(len(x), np.int32), np.int32(len(road.height_m)), np.float32(1.0 / road.cell_m)
+    half, last = np.float32(side // 2), side - np.int32(1)
+    for i in range(len(x)):  # apart from the look-up, so that the compiler vectorises it
+        row = min(max(np.int32(y[i] * per_m + half), np.int32(0)), last)
+        place[i] = row * side + min(max(np.int32(x[i] * per_m + half), np.int32(0)), last)
+    return place
