@@ -100,21 +100,21 @@ def _list_cells(place: np.ndarray, above_m: np.ndarray, body_m: np.float32, cell
     """``Cells`` of the points; cell_at: (side * side,) int32 is -1 everywhere and receives the number of each cell."""
     n, number = len(place), 0
     where, of_point = np.empty(n, np.int32), np.empty(n, np.int32)
-    low, band = np.empty(n, np.int32), np.empty(n, np.int32)
-    bottom_m, top_m = np.empty(n, np.float32), np.empty(n, np.float32)
+    for i in range(n):
+        at = np.uint32(place[i])
+        if cell_at[at] < 0:
+            cell_at[at], where[number] = number, place[i]
+            number += 1
+        of_point[i] = cell_at[at]
+    low, band = np.zeros(number, np.int32), np.zeros(number, np.int32)
+    bottom_m, top_m = np.full(number, np.inf, np.float32), np.full(number, -np.inf, np.float32)
     band_m = body_m - BAND_M
     for i in range(n):
-        cell, height = cell_at[place[i]], above_m[i]
-        if cell < 0:
-            cell = number
-            cell_at[place[i]], where[cell] = cell, place[i]
-            low[cell], band[cell], bottom_m[cell], top_m[cell] = 0, 0, height, height
-            number += 1
-        of_point[i] = cell
+        cell, height = np.uint32(of_point[i]), above_m[i]
         low[cell] += height < body_m
         band[cell] += (height >= band_m) & (height < body_m)
         bottom_m[cell], top_m[cell] = min(bottom_m[cell], height), max(top_m[cell], height)
-    return Cells(where[:number], of_point, low[:number], band[:number], bottom_m[:number], top_m[:number])
+    return Cells(where[:number], of_point, low, band, bottom_m, top_m)
 
 
 @kernel
@@ -224,16 +224,20 @@ def _drop_strays(above_m: np.ndarray, label: np.ndarray, components: int) -> Non
 
     above_m: (M,) float32, height above the local road. label: (M,) int32, component of each point, -1 = none.
     """
-    count, limit_m = np.zeros((components, LAYERS), np.int32), np.full(components, np.inf, np.float32)
-    for i in range(len(label)):
-        if label[i] >= 0:
-            count[label[i], min(max(int(above_m[i] / LAYER_M), 0), LAYERS - 1)] += 1
-    for k in range(components):
-        strays = int(count[k].sum() * STRAY_SHARE)
+    n, last, per_m = len(label), np.int32(LAYERS - 1), np.float32(1.0 / LAYER_M)
+    count, bin_of_point = np.zeros((components + 1, LAYERS), np.int32), np.empty(n, np.int32)  # row 0: of no component
+    for i in range(n):
+        layer = min(max(np.int32(above_m[i] * per_m), np.int32(0)), last)
+        bin_of_point[i] = (label[i] + np.int32(1)) * np.int32(LAYERS) + layer
+    flat, limit_m = count.reshape(-1), np.full(components + 1, np.inf, np.float32)
+    for b in bin_of_point:
+        flat[np.uint32(b)] += 1
+    for row in range(1, components + 1):
+        strays = int(count[row].sum() * STRAY_SHARE)
         if strays > 0:
-            limit_m[k] = _top_of_body(count[k], strays) + STRAY_GAP_M
-    for i in range(len(label)):
-        if label[i] >= 0 and above_m[i] > limit_m[label[i]]:
+            limit_m[row] = _top_of_body(count[row], strays) + STRAY_GAP_M
+    for i in range(n):
+        if above_m[i] > limit_m[np.uint32(label[i] + 1)]:
             label[i] = -1
 
 
