@@ -164,8 +164,8 @@ def calibrated(shares: np.ndarray, curve_x: np.ndarray, curve_y: np.ndarray) -> 
 def _sum_values(x: np.ndarray, trees: _Trees, out: np.ndarray) -> None:
     """Add the values of each tree's leaf to out (K, C).
 
-    All rows take a step before any takes the next: their steps do not depend on each other, so the processor overlaps
-    them. Rows that are at a leaf leave the list of those that walk.
+    All rows take ``STEPS`` steps before any takes the next: the steps of different rows do not depend on each other, so
+    the processor overlaps them. Rows that are at a leaf leave the list of those that walk.
     """
     rows, width, values = np.uint32(len(x)), np.uint32(x.shape[1]), x.reshape(-1)
     node, walking = np.empty(rows, np.uint32), np.empty(rows, np.uint32)
