@@ -86,7 +86,7 @@ def _columns(names: tuple[str, ...]) -> np.ndarray:
     unknown = sorted(set(names) - set(FEATURE_NAMES))
     if unknown:
         raise ValueError(f"unknown feature(s) {unknown}; known: {', '.join(FEATURE_NAMES)}")
-    return np.array([FEATURE_NAMES.index(name) for name in names])
+    return np.array([FEATURE_NAMES.index(name) for name in names], np.intp)
 
 
 def _check(points: np.ndarray, offsets: np.ndarray, ground: np.ndarray) -> None:
