@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import errno
+import random
 import re
 import socket
+from pathlib import Path
 
 from common.config import ConfigError
 
+FIRST_PORT, TRIES = 10_000, 100
+OUTGOING_PORTS = Path("/proc/sys/net/ipv4/ip_local_port_range")
+USUAL_FIRST_OUTGOING_PORT = 32_768
+_RANDOM = random.SystemRandom()  # no seed of a test gives two processes the same ports
 _ENDPOINT = re.compile(r"(?:tcp|tls)/\[?([^\]]+?)\]?:(\d+)(?:[?#].*)?")
 
 
@@ -35,7 +41,30 @@ def refuse_taken(endpoint: str, what_to_do: str) -> None:
 
 
 def free_port() -> int:
-    """A TCP port of this machine that was free a moment ago."""
+    """A TCP port of this machine that is free, below those of outgoing connections.
+
+    The system hands those out to any program: port 0 gave some that a connection had taken before they were used.
+
+    Raises:
+        OSError: a hundred of them are taken.
+    """
+    last = _first_outgoing_port() - 1
+    for _ in range(TRIES - 1):
+        try:
+            return _bound_once(_RANDOM.randint(FIRST_PORT, last))
+        except OSError:
+            continue
+    return _bound_once(_RANDOM.randint(FIRST_PORT, last))
+
+
+def _bound_once(port: int) -> int:
     with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+        probe.bind(("127.0.0.1", port))
+    return port
+
+
+def _first_outgoing_port() -> int:
+    try:
+        return int(OUTGOING_PORTS.read_text().split()[0])
+    except (OSError, ValueError, IndexError):
+        return USUAL_FIRST_OUTGOING_PORT

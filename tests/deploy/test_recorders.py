@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -142,11 +141,11 @@ def process(*command: str, **environment: str) -> Iterator[subprocess.Popen[str]
             running.send_signal(signal.SIGINT)
 
 
-def test_the_page_shows_what_a_laptop_records(yard: Any, until: Callable[..., None], tmp_path: Path) -> None:
+def test_the_page_shows_what_a_laptop_records(
+    yard: Any, free_ports: Callable[[], int], until: Callable[..., None], tmp_path: Path
+) -> None:
     """The dashboard on the vehicle's loopback, `spotter record` behind the Pi's router under its certificate."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_ports()
     to_router = f'zenoh.connect=["{yard.site.host("jetson0").loopback}"]'
     laptop = {"SPOTTER_CERTIFICATE": str(yard.keys / "laptop1.crt"), "SPOTTER_CONNECT": yard.site.endpoint("pi0")}
     with (

@@ -18,6 +18,7 @@ from common.bus.session import build
 from common.codec import decode
 from common.config import ZenohConfig
 from common.messages import Verdict
+from spotter_tools.ports import free_port
 
 BIN = Path(sys.executable).parent
 TOKEN = "open-sesame"
@@ -71,14 +72,7 @@ class Vehicle:
 
 @pytest.fixture(scope="module")
 def vehicle(tmp_path_factory: pytest.TempPathFactory, until: Callable[..., None]) -> Iterator[Vehicle]:
-    import socket
-
-    ports = []
-    for _ in range(2):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            ports.append(probe.getsockname()[1])
-    folder, endpoint = tmp_path_factory.mktemp("vehicle"), f"tcp/127.0.0.1:{ports[0]}"
+    folder, endpoint, page = tmp_path_factory.mktemp("vehicle"), f"tcp/127.0.0.1:{free_port()}", free_port()
     for place in (folder / "incidents" / CAPSULE, folder / "secret"):
         place.mkdir(parents=True)
         (place / "jetson0.mcap").write_bytes(place.name.encode())
@@ -86,7 +80,7 @@ def vehicle(tmp_path_factory: pytest.TempPathFactory, until: Callable[..., None]
         "fusion": [],
         "dashboard": [
             f"server.token={TOKEN}",
-            f"server.port={ports[1]}",
+            f"server.port={page}",
             f"server.request_within_s={REQUEST_WITHIN_S}",
         ],
         "blackbox": [f"folder={folder / 'incidents'}"],
@@ -97,7 +91,7 @@ def vehicle(tmp_path_factory: pytest.TempPathFactory, until: Callable[..., None]
             words = [word for setting in (f'zenoh.connect=["{endpoint}"]', *more) for word in ("--set", setting)]
             started.append(subprocess.Popen([str(BIN / f"spotter-{name}"), *words], stderr=subprocess.DEVNULL))
         pids = {name: process.pid for name, process in zip(settings, started, strict=True)}
-        vehicle = Vehicle(session, endpoint, ports[1], folder, pids)
+        vehicle = Vehicle(session, endpoint, page, folder, pids)
         kept = session.declare_subscriber(topics.FUSION_VERDICT.any_host, vehicle.note)
         try:
             vehicle.next_verdict()

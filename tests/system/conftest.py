@@ -21,6 +21,7 @@ from common.bus.session import open_session
 from common.codec import DecodeError, decode
 from common.config import ZenohConfig
 from common.messages import Message, ServiceInfo, SystemHealth, Verdict
+from spotter_tools.ports import free_port
 
 SPOTTER = str(Path(sys.executable).with_name("spotter"))
 
@@ -94,7 +95,7 @@ class Demo:
         return {topics.parse_token(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None}
 
 
-def start_demo(tmp_path: Path, free_port: Callable[[], int], *arguments: str) -> Demo:
+def start_demo(tmp_path: Path, *arguments: str) -> Demo:
     port, endpoint, log = free_port(), f"tcp/127.0.0.1:{free_port()}", tmp_path / "demo.log"
     command = [SPOTTER, "demo", "--listen", endpoint, "--port", str(port), *arguments]
     with log.open("wb") as output:
@@ -113,21 +114,9 @@ def stop_demo(demo: Demo) -> int:
 
 
 @pytest.fixture(scope="module")
-def module_ports() -> Callable[[], int]:
-    import socket
-
-    def free() -> int:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            return int(probe.getsockname()[1])
-
-    return free
-
-
-@pytest.fixture(scope="module")
-def running_demo(tmp_path_factory: pytest.TempPathFactory, module_ports: Callable[[], int]) -> Iterator[Demo]:
+def running_demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
     """One demo of `crossing` for a module's tests, up and with every sensor online."""
-    demo = start_demo(tmp_path_factory.mktemp("demo"), module_ports)
+    demo = start_demo(tmp_path_factory.mktemp("demo"))
     try:
         try:
             demo.recorder.wait(all_online, budget_s=110.0)
@@ -168,9 +157,9 @@ def demo_json(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         "20",
         "--json",
         "--listen",
-        f"tcp/127.0.0.1:{ports[0]}",
+        f"tcp/127.0.0.1:{free_port()}",
         "--port",
-        str(ports[1]),
+        str(free_port()),
     ]
     log = tmp_path_factory.mktemp("json") / "log"
     with log.open("wb") as output:

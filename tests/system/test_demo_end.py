@@ -17,9 +17,9 @@ pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.slow, pytest.ma
 
 
 def test_ctrl_c_leaves_no_process_behind(
-    tmp_path: Path, module_ports: Callable[[], int], until: Callable[..., None]
+    tmp_path: Path, free_ports: Callable[[], int], until: Callable[..., None]
 ) -> None:
-    port, endpoint = module_ports(), f"tcp/127.0.0.1:{module_ports()}"
+    port, endpoint = free_ports(), f"tcp/127.0.0.1:{free_ports()}"
     spotter = str(Path(sys.executable).with_name("spotter"))
     log = tmp_path / "log"
     command = [spotter, "demo", "--listen", endpoint, "--port", str(port)]
