@@ -17,13 +17,14 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 demo: setup
 	@$(BIN)/spotter demo $(ARGS)
 
-# Everything: what computes on all cores at once, then what runs a few real processes, then what runs whole systems. Three
-# workers for two cores, for one of them waits. ARGS="-k word" or a path runs those tests by themselves.
-# $(call pytest,MARKS,OPTIONS): up to three tests that failed beside others that want the same two cores run once more,
+# Everything: what computes on all cores at once, then what runs a few real processes, then what runs whole systems.
+# Workers for two cores: three where tests compute, four where most of them wait, two where each starts a whole system.
+# ARGS="-k word" or a path runs those tests by themselves.
+# $(call pytest,MARKS,OPTIONS): up to ten tests that failed beside others that want the same two cores run once more,
 # by themselves, and have to pass there; the first failure stays in the output.
 define pytest
 @$(BIN)/pytest $(2) -m "$(1)" || { [ $$? -eq 1 ] && echo "  test: failed in company; once more, by themselves" && \
-	[ "$$($(BIN)/pytest -q --collect-only --last-failed --last-failed-no-failures none -m "$(1)" | grep -c ::)" -le 3 ] && \
+	[ "$$($(BIN)/pytest -q --collect-only --last-failed --last-failed-no-failures none -m "$(1)" | grep -c ::)" -le 10 ] && \
 	$(BIN)/pytest --last-failed --last-failed-no-failures none -m "$(1)"; }
 endef
 
@@ -36,8 +37,8 @@ test test-fast: export OPENBLAS_NUM_THREADS := 1
 test: setup
 ifeq ($(strip $(ARGS)),)
 	$(call pytest,not system and not netns,-q --numprocesses 3 --dist loadfile --no-loadscope-reorder)
-	$(call pytest,system and not netns and not alone,-q --numprocesses 3 --dist loadfile)
-	$(call pytest,netns or alone,)
+	$(call pytest,system and not netns and not whole,-q --live-files --numprocesses 4 --dist loadfile)
+	$(call pytest,netns or whole,-q --live-files --numprocesses 2 --dist loadfile)
 else
 	@$(BIN)/pytest $(ARGS)
 endif

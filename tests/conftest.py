@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -11,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -41,12 +43,34 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 settings.register_profile("spotter", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("spotter")
 
-# A test with one of these fixtures runs real processes or real Zenoh. Such tests run three at a time at most
+# A test with one of these fixtures runs real processes or real Zenoh. Such tests run four at a time at most
 # (marked `system` here), unless they are marked as patient.
 LIVE_FIXTURES = frozenset({
     "router_endpoint", "zenoh_config", "module_router", "browser", "start_dashboard_at", "spawn",
     "running_demo", "demo_json", "yard", "speaking",
 })  # fmt: skip
+
+
+LIVE_MARKS = ("system", "netns", "whole")
+LIVE_WORDS = re.compile("|".join([rf"mark\.({'|'.join(LIVE_MARKS)})", *LIVE_FIXTURES]))
+
+
+@cache
+def names_live_tests(file: Path) -> bool:
+    """Whether a file mentions one of the marks or fixtures."""
+    return LIVE_WORDS.search(file.read_text()) is not None
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """``--live-files``: to import all files, only to leave out most of their tests, takes every worker 15 s."""
+    parser.addoption("--live-files", action="store_true", help="only files that name marks or fixtures of live tests")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """True: leave it out; None: others may decide."""
+    is_test = collection_path.name.startswith("test_") and collection_path.suffix == ".py"
+    left_out = is_test and config.getoption("--live-files") and not names_live_tests(collection_path)
+    return True if left_out else None
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -56,6 +80,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         live = isinstance(item, pytest.Function) and not LIVE_FIXTURES.isdisjoint(item.fixturenames)
         if live and item.get_closest_marker("patient") is None:
             item.add_marker("system")
+        if any(map(item.get_closest_marker, LIVE_MARKS)) and not names_live_tests(item.path):
+            raise pytest.UsageError(f"{item.nodeid} is live, but its file names none of {LIVE_WORDS.pattern}")
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
 

@@ -15,7 +15,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(120), pytest.mark.usefixtures("unmoved")]
+pytestmark = [pytest.mark.system, pytest.mark.whole, pytest.mark.timeout(120), pytest.mark.usefixtures("unmoved")]
 TOKEN = "open-sesame"
 SLOW_REQUEST = b"GET / HTTP/1.1\r\nHost: localhost\r\nX-Slow: "
 

@@ -21,7 +21,7 @@ from common.config import ZenohConfig
 from common.messages import Message, SystemHealth, Verdict
 from common.topics import SERVICES
 
-pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.slow, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.system, pytest.mark.whole, pytest.mark.slow, pytest.mark.timeout(240)]
 SENSOR_SERVICES = ("radar", "lidar", "camera", "infra_lidar")
 
 

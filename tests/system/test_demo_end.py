@@ -13,7 +13,7 @@ import pytest
 
 from common.topics import SERVICES
 
-pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.slow, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.system, pytest.mark.whole, pytest.mark.slow, pytest.mark.timeout(240)]
 
 
 def test_ctrl_c_leaves_no_process_behind(

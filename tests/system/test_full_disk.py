@@ -38,7 +38,7 @@ BACKGROUND = BackgroundModel(
 )
 LEVEL = Calibration(np.eye(4), height_m=4.0, tilt_deg=0.0, error_deg=0.1, frames=1)
 
-pytestmark = [pytest.mark.system, pytest.mark.alone]
+pytestmark = [pytest.mark.system, pytest.mark.whole]
 BIN = Path(sys.executable).parent
 Until = Callable[..., None]
 

@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.system.restarts import restart_often
 
-pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.slow]
+pytestmark = [pytest.mark.system, pytest.mark.whole, pytest.mark.slow]
 
 
 def test_after_each_restart_everybody_is_seen_once() -> None:

@@ -21,7 +21,7 @@ from common.codec import decode
 from common.config import ZenohConfig
 from common.messages import RadarTracks, ServiceInfo, SystemHealth
 
-pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.slow, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.system, pytest.mark.whole, pytest.mark.slow, pytest.mark.timeout(120)]
 HERE = Path(__file__).parent
 STANDIN = f"{sys.executable} {HERE / 'standin_radar.py'}"
 WORSE = f"{sys.executable} {HERE / 'standin_worse.py'}"

@@ -24,7 +24,7 @@ from common.host.process_plan import plan_of
 from common.host.site import HostConfig, ServicePlace, Site
 from common.messages import LidarZone, LidarZones, SystemHealth, Verdict
 
-pytestmark = [pytest.mark.system, pytest.mark.alone]
+pytestmark = [pytest.mark.system, pytest.mark.whole]
 VEHICLE = {"jetson": ("lidar", "camera", "fusion"), "pi": ("radar",)}
 SPEAKING_S = 3.0
 

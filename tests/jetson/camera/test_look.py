@@ -30,7 +30,7 @@ def test_a_slow_camera_is_told(report: Report, rate_hz: float, sees: bool) -> No
 
 
 @pytest.mark.system
-@pytest.mark.alone  # on a busy machine pictures are late, and it says so
+@pytest.mark.whole  # on a busy machine pictures are late, and it says so
 def test_looking_once_in_a_while_does_not_make_a_camera_slow() -> None:
     program = str(Path(sys.executable).with_name("spotter-camera"))
     look = ["look", "--watch", "--seconds", "0.6"]

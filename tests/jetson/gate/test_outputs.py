@@ -23,7 +23,7 @@ from services.jetson.gate.output import Output, open_outputs
 from services.jetson.gate.pipeline import STOPPED, Decision
 from services.jetson.gate.sim_output import Brakes, SimulatedCar
 
-pytestmark = [pytest.mark.system, pytest.mark.alone]  # real time at the actuator
+pytestmark = [pytest.mark.system, pytest.mark.whole]  # real time at the actuator
 
 Until = Callable[..., None]
 GO = Decision("GO", 5.0, 0.2, "verdict", "clear")

@@ -252,7 +252,7 @@ def test_the_command_lists_and_refuses() -> None:
 
 @pytest.mark.slow
 @pytest.mark.system
-@pytest.mark.alone
+@pytest.mark.whole
 def test_real_drills(tmp_path: Path) -> None:
     """A killed and a frozen process: real services over real Zenoh, with deadlines for a busy machine."""
     plan = tmp_path / "unhurried.toml"
