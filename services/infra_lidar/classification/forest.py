@@ -31,7 +31,8 @@ class _Trees(NamedTuple):
     """The nodes as the compiled loop takes them: nodes (N,) of ``_NODE``, so that a step reads one place in memory.
 
     The right child lies behind the left one, which is ``child``. A leaf is its own child, and nothing is above its
-    threshold. Whole numbers are unsigned: of a signed index Numba asks each time whether it counts from the end.
+    threshold. leaf: (N,) row of ``value`` of a leaf; those of a tree lie together. Whole numbers are unsigned: of a
+    signed index Numba asks each time whether it counts from the end.
     """
 
     nodes: np.ndarray
@@ -66,11 +67,10 @@ class Forest:
         order, child, root = _siblings_together(self.left, self.right, self.root)
         nodes = np.empty(len(order), _NODE)
         nodes["feature"], nodes["child"] = self.feature[order], child
-        nodes["threshold"] = np.where(child == np.arange(len(order)), np.inf, self.threshold[order])
         is_leaf = child == np.arange(len(order))
-        return _Trees(
-            nodes, np.cumsum(is_leaf).astype(np.uint32) - is_leaf, self.value[self.leaf[order][is_leaf]], root
-        )
+        nodes["threshold"] = np.where(is_leaf, np.inf, self.threshold[order])
+        leaves_before = np.cumsum(is_leaf) - is_leaf
+        return _Trees(nodes, leaves_before.astype(np.uint32), self.value[self.leaf[order[is_leaf]]], root)
 
     def shares(self, x: np.ndarray) -> np.ndarray:
         """(K, F) float32 features to (K, C) float32 class shares (uncalibrated): the mean of the trees' shares, or the

@@ -171,11 +171,9 @@ def _tall_and_higher(
     for cell in range(len(component)):
         k = component[cell]
         if k >= 0:
-            low[k], band[k], top_m[k] = (
-                low[k] + cells.low[cell],
-                band[k] + cells.band[cell],
-                max(top_m[k], cells.top_m[cell]),
-            )
+            low[k] += cells.low[cell]
+            band[k] += cells.band[cell]
+            top_m[k] = max(top_m[k], cells.top_m[cell])
     reaches_up = (band >= TALL_POINTS) & (band >= TALL_SHARE * low)
     tall, higher = np.zeros(len(component), np.bool_), np.zeros(len(component), np.bool_)
     for cell in range(len(component)):
