@@ -29,7 +29,6 @@ def bar_says(colour: str, words: str) -> str:
     return f"{bar}.textContent.includes('{words}') && {bar}.className == 'health {colour}'"
 
 
-@pytest.mark.patient
 @pytest.mark.slow
 def test_each_fault_of_the_scenario_is_on_the_page(browser: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The row says it, the bar says it in its colour, nothing else is blamed, and the console has no errors."""
