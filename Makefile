@@ -20,11 +20,11 @@ demo: setup
 # Everything: what computes on all cores at once, then what runs a few real processes, then what runs whole systems.
 # Workers for two cores: three where tests compute, four where most of them wait, two where each starts a whole system.
 # ARGS="-k word" or a path runs those tests by themselves.
-# $(call pytest,MARKS,OPTIONS): up to ten tests that failed beside others that want the same two cores run once more,
+# $(call pytest,MARKS,OPTIONS): up to three tests that failed beside others that want the same two cores run once more,
 # by themselves, and have to pass there; the first failure stays in the output.
 define pytest
 @$(BIN)/pytest $(2) -m "$(1)" || { [ $$? -eq 1 ] && echo "  test: failed in company; once more, by themselves" && \
-	[ "$$($(BIN)/pytest -q --collect-only --last-failed --last-failed-no-failures none -m "$(1)" | grep -c ::)" -le 10 ] && \
+	[ "$$($(BIN)/pytest -q --collect-only --last-failed --last-failed-no-failures none -m "$(1)" | grep -c ::)" -le 3 ] && \
 	$(BIN)/pytest --last-failed --last-failed-no-failures none -m "$(1)"; }
 endef
 

@@ -24,11 +24,19 @@ def test_where_the_system_does_not_say_which_these_are_the_usual_ones_are_meant(
     assert ports.FIRST_PORT <= ports.free_port() < ports.USUAL_FIRST_OUTGOING_PORT
 
 
-def test_a_port_that_somebody_has_is_not_given(monkeypatch, tmp_path):
-    (tmp_path / "range").write_text("23002 60999")
-    monkeypatch.setattr(ports, "OUTGOING_PORTS", tmp_path / "range")
-    monkeypatch.setattr(ports, "FIRST_PORT", 23_000)
-    with socket.create_server(("127.0.0.1", 23_000)):
-        assert {ports.free_port() for _ in range(5)} == {23_001}
-        with socket.create_server(("127.0.0.1", 23_001)), pytest.raises(OSError, match="in use"):
+def test_a_port_that_somebody_has_is_not_given(monkeypatch):
+    taken, free = ports.free_port(), ports.free_port()
+    with socket.create_server(("127.0.0.1", taken)):
+        monkeypatch.setattr(ports, "_RANDOM", _Given([taken, taken, free]))
+        assert ports.free_port() == free
+        monkeypatch.setattr(ports, "_RANDOM", _Given([taken] * ports.TRIES))
+        with pytest.raises(OSError, match="in use"):
             ports.free_port()
+
+
+class _Given:
+    def __init__(self, numbers):
+        self._numbers = iter(numbers)
+
+    def randint(self, low, high):
+        return next(self._numbers)
