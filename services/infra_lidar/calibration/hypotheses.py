@@ -24,6 +24,9 @@ def best_hypothesis(
 ) -> tuple[np.ndarray, float] | str:
     """(normal, offset) with normal . p + offset = 0 on the road, or why there is none.
 
+    near: (N, 3) float64 m, sensor frame, the points near the pole. normal: (3,) unit vector, up. offset: height of the
+    sensor above the plane, m.
+
     Planes outside the mounting cone are scored as well: where one of them explains far more than all planes within,
     the prior is wrong, and a wall in the cone is not taken for the road.
     """
