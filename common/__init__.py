@@ -1,4 +1,4 @@
-"""What every host has: topics, messages, codec, config, runtime, geometry, the command line and the simulator."""
+"""What every host has: topics, messages, codec, configuration, bus, host, security, recording."""
 
 import os
 

@@ -1,6 +1,7 @@
 """One simulated world and what each sensor measures of it, down to the bytes on the wire.
 
-Everything is a pure function of (scenario, time): no process, no clock, no file. From the ground up:
+Everything is a pure function of (scenario, time): no process, no file, and no clock but that of
+``scenario_clock``. From the ground up:
 
 - ``motion``, ``solids``, ``bodies``, ``scene``: how things move, what rays hit, people and vehicles, what stands still.
 - ``vehicle``, ``tour``: our own vehicle, its sensors' places, and how it drives.

@@ -21,7 +21,7 @@ from benchmarks.infra_lidar.foreign import distance_fields, meshes, superquadric
 from benchmarks.infra_lidar.motorway import ROADSIDE_MAST, EmptyRoad, revolutions
 from services.infra_lidar.calibration.plane_fit import Calibrator
 from services.infra_lidar.classification.classes import CLASSES, UNKNOWN, VEHICLES
-from services.infra_lidar.classification.classifier import Classification, Classifier, without_vehicles
+from services.infra_lidar.classification.classifier import Classification, Classifier, reject_vehicles
 from services.infra_lidar.classification.features import compute_features
 from services.infra_lidar.clustering.boxes import ClusterPoints
 from services.infra_lidar.clustering.clustering import Clustering
@@ -52,7 +52,7 @@ def find(points: np.ndarray, calibration: CalibrationConfig, classifier: Classif
     road_z_m = np.asarray(ground.road_height(clusters.box[:, 0], clusters.box[:, 1]))
     called = classifier.extract_and_classify(clusters, road_z_m)
     on_drop = ground.find_drops(levelled)[ground.cells_at(clusters.box[:, 0], clusters.box[:, 1])]
-    return Found(clusters, without_vehicles(called, on_drop), obstacles.is_ground)
+    return Found(clusters, reject_vehicles(called, on_drop), obstacles.is_ground)
 
 
 def foreign_sets() -> Iterator[tuple[str, LabelledClusters]]:

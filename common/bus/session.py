@@ -9,6 +9,7 @@ import re
 import ssl
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -178,6 +179,16 @@ def undeclare(subscriber: Any) -> None:
             time.sleep(UNDECLARE_PAUSE_S)
         except zenoh.ZError:
             return  # the session is closed: so is the subscription
+
+
+def pass_on_samples(subscriber: Any, take: Callable[[str, bytes], None]) -> None:
+    """Give key and payload of every sample that is put to ``take``, until the subscription or the session ends."""
+    try:
+        for sample in subscriber:
+            if sample.kind == zenoh.SampleKind.PUT:
+                take(str(sample.key_expr), sample.payload.to_bytes())
+    except zenoh.ZError:
+        return
 
 
 def plain(error: zenoh.ZError) -> str:

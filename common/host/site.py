@@ -18,7 +18,6 @@ from common.host import vehicles
 from common.path import PathConfig
 from common.topics import OPTIONAL_SERVICES, SERVICES, SERVICES_OF_ANY_HOST, ServiceRow, service_row
 
-DEFAULT_FILE = Path("site.toml")
 Port = Annotated[int, Meta(ge=1, le=65535)]
 Chunk = Annotated[str, Meta(pattern=r"^[a-z0-9_]+$")]  # one chunk of a key: no `/`, `*`, `@` or space
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ctypes
-import logging
 import os
 import shutil
 import signal
@@ -22,8 +21,6 @@ from pathlib import Path
 from common.backoff import Backoff
 from common.host.adoption import INBOX_VARIABLE, Adopted, Successor, adopt, delete_successor, read_successor
 from common.host.heartbeat import Heartbeat
-
-log = logging.getLogger("supervisor")
 
 Process = asyncio.subprocess.Process | Adopted
 

@@ -84,10 +84,6 @@ class RecordingFile:
         channel = self._channel(topic, "json", schema, "jsonschema", b'{"type":"object"}')
         self._writer.add_message(channel, log_ns, payload, log_ns)
 
-    def attach(self, name: str, media_type: str, data: bytes, stamp_ns: int) -> None:
-        """Attach a file, for example the configuration."""
-        self._writer.add_attachment(stamp_ns, stamp_ns, name, media_type, data)
-
     def flush(self) -> None:
         """Close the chunk and write everything to the kernel: earlier messages survive a kill -9."""
         self._writer.flush()

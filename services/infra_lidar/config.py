@@ -96,7 +96,7 @@ class BackgroundConfig(Section, frozen=True, kw_only=True):
 
 
 class VisibilityConfig(Section, frozen=True, kw_only=True):
-    """Limits below which the sensor counts as blind: the service then reports it as degraded."""
+    """Limits of what a sensor that sees well returns; outside of them the service reports it as degraded."""
 
     min_points: Annotated[int, Meta(ge=0)] = 1000
     min_points_share: Share = 0.5  # of what this sensor usually returns

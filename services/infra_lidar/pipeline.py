@@ -9,7 +9,7 @@ from common.stopwatch import Stopwatch
 from services.infra_lidar.calibration.monitor import CalibrationMonitor
 from services.infra_lidar.calibration.plane_fit import Calibration
 from services.infra_lidar.classification.classes import BACKGROUND, LARGE_VEHICLE, UNKNOWN
-from services.infra_lidar.classification.classifier import Classifier, without_vehicles
+from services.infra_lidar.classification.classifier import Classifier, reject_vehicles
 from services.infra_lidar.clustering.boxes import ClusterPoints
 from services.infra_lidar.clustering.clustering import Clustering
 from services.infra_lidar.config import InfraLidarConfig
@@ -113,7 +113,7 @@ class InfraLidarPipeline:
         road_z_m = self.scene.ground.road_height(found.box[:, 0], found.box[:, 1])
         called = self.classifier.extract_and_classify(found, road_z_m)
         on_drop = self.scene.on_drop(*found.box[:, :2].T)
-        features, index, confidence, probabilities = without_vehicles(called, on_drop)
+        features, index, confidence, probabilities = reject_vehicles(called, on_drop)
         self.scene.mark_static(segmentation, found, index)
         return ClusterSet(
             classes=index, confidences=confidence, probabilities=probabilities, box=found.box,
@@ -145,7 +145,7 @@ def _checked(returns: Returns) -> Returns:
 def _road_users(clusters: ClusterSet, on_drop: np.ndarray) -> np.ndarray:
     """(K,) confidence that a cluster is a road user, 0 where it is background.
 
-    What is unknown may be one as well as not, but not where ``on_drop`` (K,) says that there is no road below it.
+    Unknown counts as 0.5, and as 0 where ``on_drop`` (K,) says that there is no road below it.
     """
     sure = np.where(clusters.classes == UNKNOWN, np.where(on_drop, 0.0, 0.5), clusters.confidences)
     return np.where(clusters.classes == BACKGROUND, 0.0, sure)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections import defaultdict, deque
 from collections.abc import Iterator
 from itertools import chain, islice
@@ -25,8 +24,6 @@ from services.infra_lidar.config import InfraLidarConfig
 from services.infra_lidar.input.source import open_source, surveyed_pose
 from services.infra_lidar.pipeline import InfraLidarPipeline
 from services.infra_lidar.result import FrameResult
-
-log = logging.getLogger(__name__)
 
 COLOURS = {
     "car": "#3b7dd8", "large_vehicle": "#9b59d0", "cyclist": "#e8a317", "pedestrian": "#e0483e",

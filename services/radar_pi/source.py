@@ -1,4 +1,4 @@
-"""Where frames come from: the chip, a recording or the simulated world. The only file that opens a device or waits.
+"""Where frames come from: the chip, a recording or the simulated world.
 
 Every source yields ``RadarFrame``: UTC of the first chirp, UTC when the frame was complete, (rx, chirp, sample) ADC
 samples, an epoch that rises when the chip was restarted, and what is wrong with the link.

@@ -23,6 +23,7 @@ from spotter_tools.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespa
 from spotter_tools.cli.fail import fail, needs_extra
 from spotter_tools.cli.render import coloured, health_lines, readable, reason_lines, verdict_text
 from spotter_tools.cli.selection import key_expression
+from spotter_tools.wording import without_numbers
 
 M = TypeVar("M", bound=Message)
 QUERY_TIMEOUT_S = 1.0
@@ -250,8 +251,8 @@ def _watch_health(inbox: queue.Queue[tuple[str, bytes]], watch: bool, as_json: b
         if waiting:
             continue
         block = _block(received.verdict, received.system, silent_s, as_json)
-        if _without_ages(block) != shown:
-            shown = _without_ages(block)
+        if without_numbers(block) != shown:  # ages and rates always change
+            shown = without_numbers(block)
             print(block, flush=True)
         if not watch:
             return received.verdict is not None
@@ -267,8 +268,3 @@ def _block(verdict: Verdict | None, system: SystemHealth | None, silent_s: float
     lines = [verdict_text(verdict, silent_s), *(reason_lines(verdict) if verdict else [])]
     lines += health_lines(system) if system and verdict else ["health unknown: fusion does not publish"]
     return "\n".join(lines)
-
-
-def _without_ages(block: str) -> str:
-    """What is compared to decide whether something changed: ages and rates always change."""
-    return "".join(character for character in block if not character.isdigit())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -12,7 +13,7 @@ from foxglove import Channel, Context, Schema, start_server
 from foxglove.messages import CompressedImage, PointCloud
 from foxglove.websocket import ServerListener
 
-from common.bus.session import undeclare
+from common.bus.session import pass_on_samples, undeclare
 from common.clock import utc_ns
 from common.codec import DecodeError, decode, to_builtins
 from common.messages import Message
@@ -80,16 +81,9 @@ class Bridge(ServerListener):
 
     def _subscribe(self, key: str) -> zenoh.Subscriber:
         subscriber = self._session.declare_subscriber(key, zenoh.handlers.RingChannel(RING))
-        threading.Thread(target=self._receive, args=(subscriber,), name=f"bridge {key}", daemon=True).start()
+        feed = partial(pass_on_samples, subscriber, self._pass_on)
+        threading.Thread(target=feed, name=f"bridge {key}", daemon=True).start()
         return subscriber
-
-    def _receive(self, subscriber: Any) -> None:
-        try:
-            for sample in subscriber:
-                if sample.kind == zenoh.SampleKind.PUT:
-                    self._pass_on(str(sample.key_expr), sample.payload.to_bytes())
-        except zenoh.ZError:
-            return  # unsubscribed, or the session is closed
 
     def _pass_on(self, key: str, payload: bytes) -> None:
         topic = find_topic(key)

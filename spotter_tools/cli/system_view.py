@@ -9,15 +9,15 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import partial
 
 import msgspec
 import zenoh
 
 from common import topics
 from common.bus.presence import Presence
-from common.bus.session import undeclare
+from common.bus.session import pass_on_samples, undeclare
 from common.bus.vehicles import vehicles_on_bus
 from common.clock import monotonic_s
 from common.codec import DecodeError, decode
@@ -118,7 +118,8 @@ class Observer:
             session.declare_subscriber(topic.key(host), zenoh.handlers.FifoChannel(4096)) for topic in watched
         ]
         for subscriber in self._subscribers:
-            threading.Thread(target=self._receive, args=(subscriber,), name="observer", daemon=True).start()
+            feed = partial(pass_on_samples, subscriber, self._note)
+            threading.Thread(target=feed, name="observer", daemon=True).start()
 
     def close(self) -> None:
         """Stop listening."""
@@ -228,14 +229,6 @@ class Observer:
             age_limit_s=topic.age_limit_s if topic else None,
             messages=arrivals.messages,
         )
-
-    def _receive(self, subscriber: Iterable[zenoh.Sample]) -> None:
-        try:
-            for sample in subscriber:
-                if sample.kind == zenoh.SampleKind.PUT:
-                    self._note(str(sample.key_expr), sample.payload.to_bytes())
-        except zenoh.ZError:
-            return  # the session is closed
 
     def _note(self, key: str, payload: bytes) -> None:
         topic, now_s = find_topic(key), monotonic_s()

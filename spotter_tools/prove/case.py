@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 from spotter_sim.model import Fault, Scenario
 from spotter_sim.vehicle import CART, MODEL_CAR, Chassis
-
-Level = Literal["SAFE", "CAUTION", "IMMINENT"]
 
 BEGINS_S = 3.5  # before this the vehicle is carried along its way while sensors settle; then the gate has the brakes
 FAILS_S = 0.5  # a sensor that is out fails at this time: it has been seen before

@@ -5,12 +5,13 @@ from __future__ import annotations
 import struct
 import threading
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import zenoh
 
 from common import messages as m
-from common.bus.session import undeclare
+from common.bus.session import pass_on_samples, undeclare
 from common.clock import utc_ns
 from common.codec import DecodeError, decode
 from common.ros2.keys import RosNameError, topic_name
@@ -129,20 +130,13 @@ class Bridge:
         """Subscribe on the bus while there is a ROS subscriber."""
         if line.publish.wanted and line.subscriber is None:
             line.subscriber = self._session.declare_subscriber(line.key, zenoh.handlers.RingChannel(RING))
-            threading.Thread(target=self._fill, args=(line, line.subscriber), name=line.name, daemon=True).start()
+            feed = partial(pass_on_samples, line.subscriber, partial(self._pass_on, line))
+            threading.Thread(target=feed, name=line.name, daemon=True).start()
         elif not line.publish.wanted and line.subscriber is not None:
             gone, line.subscriber = line.subscriber, None
             undeclare(gone)
 
-    def _fill(self, line: Line, subscriber: Any) -> None:
-        try:
-            for sample in subscriber:
-                if sample.kind == zenoh.SampleKind.PUT:
-                    self._pass_on(line, sample.payload.to_bytes())
-        except zenoh.ZError:
-            return  # unsubscribed, or the session is closed
-
-    def _pass_on(self, line: Line, payload: bytes) -> None:
+    def _pass_on(self, line: Line, _key: str, payload: bytes) -> None:
         try:
             message = decode(payload, line.row.topic.message, line.row.topic.max_bytes)
         except DecodeError:

@@ -42,11 +42,11 @@ def likeliest(probabilities: np.ndarray, min_confidence: float) -> tuple[np.ndar
     return np.where(confidence >= min_confidence, probabilities.argmax(axis=1), UNKNOWN), confidence
 
 
-def without_vehicles(found: Classification, where: np.ndarray) -> Classification:
-    """The same, but what is called a vehicle ``where`` (K,) bool none can stand is unknown: no class is likelier."""
-    if not where.any():
+def reject_vehicles(found: Classification, no_road: np.ndarray) -> Classification:
+    """Clusters labelled as vehicles where ``no_road`` (K,) bool is set become unknown, all classes equally probable."""
+    if not no_road.any():
         return found
-    doubted = where & np.isin(found.labels, VEHICLES)
+    doubted = no_road & np.isin(found.labels, VEHICLES)
     probabilities = np.where(doubted[:, None], np.float32(1.0 / len(CLASSES)), found.probabilities)
     labels = np.where(doubted, UNKNOWN, found.labels)
     return Classification(found.features, labels, probabilities.max(axis=1), probabilities)

@@ -3,8 +3,8 @@
 The definitions are those of the article's table (bonsai89/lidar-perception-pipeline), with three changes: heights are
 above the local ground instead of absolute, so that a cluster has the same features on a slope and in a centred file;
 their percentiles are counted in 256 bins, exact to a 255th of the cluster's height; and our own set has the fill of the
-hull seen from above and the extent of every height slice instead of the 3-D hull and the neighbour search. The
-article's costly features are in ``benchmarks/article/costly_features.py``.
+hull seen from above, the length of every height slice and the width of three instead of the 3-D hull and the neighbour
+search. The article's costly features are in ``benchmarks/article/costly_features.py``.
 
 Of a cluster with ``MOST_POINTS`` points or more a part is looked at: fewer than 1,024 of them, evenly chosen.
 
@@ -28,7 +28,7 @@ ARTICLE_19: tuple[str, ...] = (
 """The article's set of 19 features, in its order."""
 
 _OWN = (
-    "x_range", "y_range", "z_median", "z_bottom", "z_top", "hull_fill", "range_m", "points_by_range",
+    "x_range", "y_range", "z_median", "z_bottom", "z_top", "hull_fill",
     "slice_length_0", "slice_length_1", "slice_length_2", "slice_length_3", "slice_length_4",
     "slice_width_0", "slice_width_2", "slice_width_4", "ground_gap_ratio",
 )  # fmt: skip

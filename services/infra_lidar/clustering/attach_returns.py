@@ -1,9 +1,9 @@
-"""Single returns attached to large vehicles: what a grazing view leaves of the long side of a bus or truck.
+"""Small fragments attached to large vehicles: what a grazing view leaves of the long side of a bus or truck.
 
 Along a side seen at a small angle the returns of neighbouring columns lie metres apart, so they form no cluster. A
 tall group of fragments (an end face, as a rule) takes those that continue it in one line, as long as the whole fits a
-large vehicle and they lie on its outline: on a side or on the roof. Leaves of a hedge lie anywhere. Only returns that
-belong to no cluster are taken.
+large vehicle and they lie on its outline: on a side or on the roof. Leaves of a hedge lie anywhere. Only fragments of
+fewer than ``min_points`` points are taken, single returns as a rule.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ TURNS_RAD = (0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12)  # directions to try ab
 
 
 @kernel
-def attach_single_returns(foot: np.ndarray, counts: np.ndarray, min_points: int, group: np.ndarray) -> None:
-    """Let tall groups of ``min_points`` or more take single returns; the largest group first. Rewrites ``group``.
+def attach_small_fragments(foot: np.ndarray, counts: np.ndarray, min_points: int, group: np.ndarray) -> None:
+    """Let tall groups of ``min_points`` or more take smaller ones; the largest group first. Rewrites ``group``.
 
     foot: (K, COLUMNS) ``footprints``, counts: (K,) points, group: (K,) int32 as by ``merge_fragments``.
     """

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.infra_lidar.clustering.attach_returns import attach_single_returns
+from services.infra_lidar.clustering.attach_returns import attach_small_fragments
 from services.infra_lidar.clustering.boxes import ClusterPoints, group_by_label, join_clusters, size_rules
 from services.infra_lidar.clustering.grid import CellGrid
 from services.infra_lidar.clustering.label import label_points, label_rules
@@ -44,12 +44,12 @@ class Clustering:
         if config.split == "heads":
             found, is_person = split_pedestrian_groups(found, self._grid.scale, config.min_points)
 
-        # Fragments and single returns of one vehicle are merged
+        # Fragments of one vehicle are merged, small ones attached
         group = np.arange(len(found.box), dtype=np.int32)
         if config.merge == "fragments":
             foot, counts = footprints(found.box), found.counts
             group = merge_fragments(found.box, foot, counts, is_person)
-            attach_single_returns(foot, counts, config.min_points, group)
+            attach_small_fragments(foot, counts, config.min_points, group)
 
         # What has a possible size is kept
         return join_clusters(found, group, self._sizes)

@@ -23,9 +23,8 @@ from services.infra_lidar.input.revolution import Revolution
 from services.infra_lidar.input.spinning import PacketParser
 
 RECEIVE_BUFFER_BYTES = 8 << 20  # a fifth of a second of a 128-beam sensor; the kernel may grant less
-FILLED = (
-    0.125  # of the buffer by the packets of one pause: small packets take twice their size, and reading may be late
-)
+# Of the kernel's buffer, by the packets of one pause: small ones take twice their size, and reading may be late.
+MAX_FILL_SHARE = 0.125
 SHORTEST_PAUSE_S = 0.001
 SILENCE_S = 1.0
 READ_EVERY_S = 0.02  # more often takes more of the processor: waking up for packets takes longer than reading them
@@ -115,9 +114,9 @@ def _arrival_ns(stamps: list[tuple[int, int, bytes]]) -> int:
 def pause_after(pause_s: float, came_bytes: int, buffer_bytes: int) -> float:
     """Seconds until the next read, after one that found ``came_bytes`` and was ``pause_s`` after the one before.
 
-    READ_EVERY_S, or less where that would fill more than FILLED of the kernel's buffer.
+    READ_EVERY_S, or less where that would fill more than MAX_FILL_SHARE of the kernel's buffer.
     """
-    fitting_s = pause_s * FILLED * buffer_bytes / max(came_bytes, 1)
+    fitting_s = pause_s * MAX_FILL_SHARE * buffer_bytes / max(came_bytes, 1)
     return min(READ_EVERY_S, max(SHORTEST_PAUSE_S, fitting_s))
 
 

@@ -35,28 +35,28 @@ def check_beams(altitude_deg: np.ndarray, azimuth_deg: np.ndarray, origin_mm: fl
 
 
 def check_transform(to_sensor: np.ndarray) -> None:
-    """Refuse a (4, 4) matrix that is not a turn about z and a shift along it.
+    """Refuse a (4, 4) matrix that is not a rotation about z and a shift along it.
 
     Raises:
         MetadataError: another matrix, or a shift longer than a sensor.
     """
-    name, turn = "lidar_to_sensor_transform", to_sensor[:3, :3]
+    name, rotation = "lidar_to_sensor_transform", to_sensor[:3, :3]
     shown = f"found {to_sensor.ravel().tolist()}"
     if not np.isfinite(to_sensor).all() or to_sensor[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         raise MetadataError(f"{name}: expected finite numbers, the last four 0 0 0 1; {shown}")
-    off = np.abs(turn @ turn.T - np.eye(3)).max()
-    if off > _LENGTH_SLACK or np.linalg.det(turn) < 0.0:
+    off = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if off > _LENGTH_SLACK or np.linalg.det(rotation) < 0.0:
         raise MetadataError(f"{name}: expected a rotation, with rows of length 1 at right angles; {shown}")
     if np.abs([*to_sensor[2, :2], *to_sensor[:2, 3]]).max() > 1e-6:
-        raise MetadataError(f"{name}: expected a turn about z and a shift along it; {shown}")
+        raise MetadataError(f"{name}: expected a rotation about z and a shift along it; {shown}")
     _check_range(f"{name}, its shift", to_sensor[:3, 3], -FARTHEST_SHIFT_MM, FARTHEST_SHIFT_MM, "mm")
 
 
 def check_window(window: Any, columns: int) -> None:
-    """Refuse first and last columns that a turn does not have. The first may be the larger: a window over the seam.
+    """Refuse a window whose columns a revolution does not have. The first may be the larger: it spans the seam then.
 
     Raises:
-        MetadataError: not two of the ``columns`` of a turn.
+        MetadataError: not two of the ``columns`` of a revolution.
     """
     ends = window if isinstance(window, list) else []
     if len(ends) != 2 or not all(isinstance(end, int | float) and 0 <= end < columns for end in ends):

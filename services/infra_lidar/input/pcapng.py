@@ -11,7 +11,7 @@ from typing import BinaryIO, NamedTuple
 
 MAGIC = b"\x0a\x0d\x0d\x0a"  # a section's first block, in either order of bytes
 _BYTE_ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
-_SECTION, _INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, _PACKET = 0x0A0D0D0A, 1, 2, 3, 6
+_INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, _PACKET = 1, 2, 3, 6
 _HEADS = {_PACKET: "IIII", _OLD_PACKET: "HHIII"}  # interface, (drops,) time in two halves, bytes captured
 _FRAME_AT = 20
 _RESOLUTION, _OFFSET = 9, 14  # options of an interface

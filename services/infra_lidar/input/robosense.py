@@ -233,9 +233,9 @@ def _decode(raw: np.ndarray, cos_sin: np.ndarray, rows: RangeImageArrays) -> int
     """
     m, previous = 0, -1
     for p in range(raw.shape[0]):
-        for at in (80, 468, 856):
+        for at in BLOCKS_AT:
             azimuth = 256 * raw[p, at + 2] + raw[p, at + 3]
-            if raw[p, at] != 0xFE or azimuth >= 36000:
+            if raw[p, at] != BLOCK_FLAG or azimuth >= 36000:
                 previous = -1
                 continue
             second = azimuth == previous

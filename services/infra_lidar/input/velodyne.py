@@ -112,7 +112,7 @@ def _head_speed_deg_per_s(raw: np.ndarray) -> float:
     one = raw.shape[0] > 0 and raw[0, MODE_AT] == DUAL_RETURN  # a packet is one firing sequence, else three
     steps = np.empty(max(raw.shape[0] - 1, 0) if one else raw.shape[0], np.float64)  # 0.01 degree
     for p in range(len(steps)):
-        here, there = raw[p, 2] + 256 * raw[p, 3], raw[p, 1102] + 256 * raw[p, 1103]
+        here, there = raw[p, 2] + 256 * raw[p, 3], raw[p, LAST_AT] + 256 * raw[p, LAST_AT + 1]
         steps[p] = (raw[p + 1, 2] + 256 * raw[p + 1, 3] - here) % 36000 if one else (there - here) % 36000 / 2.0
     return np.median(steps) / (100.0 * CYCLE_US * 1e-6) if len(steps) else 0.0
 

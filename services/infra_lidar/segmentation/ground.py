@@ -1,8 +1,8 @@
 """Ground: a polar grid of low-percentile heights, checked against its surroundings, as a surface that may slope.
 
-Walk outward from the pole: a cell is road if its height continues that of its inner neighbours with at most
-``max_step`` slope. Every cell gets a tangent plane from its accepted neighbours, so that a slope inside a cell, a car
-park above the road or a bus roof do not matter.
+Walk outward from the pole: a cell is road if its height is at most ``step_up_m`` above or ``step_down_m`` below what
+its inner neighbours let expect, or more (``max_step``) behind cells whose road was not seen. Every cell gets a tangent
+plane from its accepted neighbours, so that slopes inside a cell, car parks above the road and bus roofs do not matter.
 """
 
 from __future__ import annotations

@@ -73,16 +73,16 @@ def scene_frames(
     monitor = CalibrationMonitor(steps.calibration, None)
     for t_s in times_s:
         view = scan(scenario, t_s, resolution[0])
-        view = view if resolution[1] == 1 else those(view, view.ring % resolution[1] == 0)
-        yield cut(view, steps, monitor.update(view.xyz).T_level_sensor)
+        view = view if resolution[1] == 1 else select_returns(view, view.ring % resolution[1] == 0)
+        yield segment_and_cluster(view, steps, monitor.update(view.xyz).T_level_sensor)
 
 
-def those(view: Scan, keep: np.ndarray) -> Scan:
+def select_returns(view: Scan, keep: np.ndarray) -> Scan:
     """The returns with ``keep`` (N,) bool."""
     return Scan(*(getattr(view, name)[keep] for name in Scan.__dataclass_fields__))
 
 
-def cut(view: Scan, steps: Steps, T_level_sensor: np.ndarray) -> SceneFrame:
+def segment_and_cluster(view: Scan, steps: Steps, T_level_sensor: np.ndarray) -> SceneFrame:
     """The geometric steps on one revolution, with its calibration."""
     found = steps.clusters(view.xyz, T_level_sensor)
     road_z_m = steps.ground.road_height(found.box[:, 0], found.box[:, 1])

@@ -1,6 +1,6 @@
 """Train the forest: clusters -> features -> scikit-learn forest -> plain arrays, calibrated on held-out groups.
 
-Needs the ``train`` extra; nothing at run time imports this module.
+Needs the ``train`` extra; only ``train``, ``evaluate`` and ``adapt`` use this module.
 """
 
 from __future__ import annotations

@@ -15,7 +15,14 @@ import numpy as np
 from common.geometry import pose_2d
 from services.infra_lidar.calibration.plane_fit import Calibrator
 from services.infra_lidar.training.clusters import LabelledClusters
-from services.infra_lidar.training.scenes import CLASS_OF_KIND, SceneFrame, Steps, cut, pure_clusters, those
+from services.infra_lidar.training.scenes import (
+    CLASS_OF_KIND,
+    SceneFrame,
+    Steps,
+    pure_clusters,
+    segment_and_cluster,
+    select_returns,
+)
 from services.infra_lidar.training.varied import MAKERS
 from services.infra_lidar.training.varied_furniture import furniture
 from spotter_sim.lidar128 import Scan, scan
@@ -44,7 +51,7 @@ def varied_street_clusters(seeds: Iterable[int], steps: Steps, views: int) -> La
                 view = _sensed(rng, _seen_from(street, f"{street.name}-{k}", _mount(rng)))
                 found = Calibrator(steps.calibration).add(view.xyz)
                 if not found.refused:
-                    yield seed, cut(view, steps, found.T_level_sensor)
+                    yield seed, segment_and_cluster(view, steps, found.T_level_sensor)
 
     return pure_clusters(frames())
 
@@ -93,7 +100,7 @@ def _sensed(rng: np.random.Generator, street: Scenario) -> Scan:
     """One revolution of a sensor with fewer beams, losses, noise and rounding of its own."""
     view = scan(street, 0.0, int(rng.choice(_COLUMNS)))
     beams = view.ring % rng.choice(_RING_STEPS) == 0
-    view = those(view, beams & (rng.random(len(view)) > rng.choice([0.0, 0.05, 0.2])))
+    view = select_returns(view, beams & (rng.random(len(view)) > rng.choice([0.0, 0.05, 0.2])))
     range_m = np.linalg.norm(view.xyz, axis=1)
     sigma_m, step_m = np.exp(rng.uniform(np.log(0.003), np.log(0.04))), rng.choice([0.001, 0.004, 0.01, 0.02])
     noisy_m = np.round((range_m + rng.normal(0.0, sigma_m, len(range_m))) / step_m) * step_m

@@ -1,7 +1,6 @@
-"""Road users of many builds as solids, drawn at random: what the forest learns people and vehicles from.
+"""Road users of many builds as solids, drawn at random: what the forest learns people from.
 
-Statures: NCD-RisC, eLife 2016 (means 1.65 and 1.77 m, deviation 7 cm) and WHO growth references for children. Vehicles:
-the span of the European segments A to J, vans, and the largest lorries of directive 96/53/EC.
+Statures: NCD-RisC, eLife 2016 (means 1.65 and 1.77 m, deviation 7 cm) and WHO growth references for children.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Cars and large vehicles of many builds as solids, drawn at random (sizes: see ``varied_users``)."""
+"""Cars and large vehicles of many builds as solids, drawn at random.
+
+Sizes: the span of the European segments A to J, vans, and the largest lorries of directive 96/53/EC.
+"""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from services.jetson.camera.config import ImageConfig, ZoneConfig
 from services.jetson.camera.zone import forward_zone
 
 LEVEL_BGR = {"SAFE": (80, 175, 76), "CAUTION": (0, 170, 255), "IMMINENT": (40, 40, 225)}
-_WHITE, _GREY, _BLACK = (255, 255, 255), (170, 170, 170), (0, 0, 0)
+_GREY, _BLACK = (170, 170, 170), (0, 0, 0)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 FONT_PER_COLUMN = 0.65 / 640  # large enough to be read when the picture is shown at half its size
 

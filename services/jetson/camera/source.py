@@ -1,4 +1,4 @@
-"""Where pictures come from. The only part of the service that opens devices and files and reads the clock.
+"""Where pictures come from. With ``capture.py`` and ``child.py`` the part that opens devices and reads the clock.
 
 sim:crossing?t0=0        the simulated camera
 file:PATH?rate=1&loop=1  a video, a picture, or a folder of pictures (fps=..); rate=0 = as fast as it is read

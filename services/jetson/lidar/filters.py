@@ -111,7 +111,8 @@ def isolated(returns: Returns, candidates: np.ndarray, config: FilterSection) ->
 
     After the vendor SDK's near filter (ldlidar_stl_sdk), which cuts the scan into groups by gaps in angle and range.
     Here each return asks the beams beside it instead, so that a ghost in the middle of a wall does not split the wall.
-    One return alone is never believed; one with a single neighbour needs ``lone_confidence``.
+    Within ``isolated_within_m`` a return alone is never believed, and one with a single neighbour needs
+    ``lone_confidence``. Farther returns may stand alone.
     """
     reach = returns.range_m[candidates]
     support = neighbours(returns, candidates, config)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from services.infra_lidar.classification.classes import CLASSES, LABELS, UNKNOWN
-from services.infra_lidar.classification.classifier import SHIPPED_MODEL, Classification, Classifier, without_vehicles
+from services.infra_lidar.classification.classifier import SHIPPED_MODEL, Classification, Classifier, reject_vehicles
 from services.infra_lidar.classification.features import FEATURE_SETS, compute_features
 from services.infra_lidar.classification.forest import Forest, ModelError, load_forest
 from services.infra_lidar.config import ClassifierConfig
@@ -72,12 +72,12 @@ def test_a_vehicle_where_none_can_stand_is_unknown() -> None:
     sure = np.full((5, 5), 0.05, np.float32)
     sure[np.arange(5), labels] = 0.8
     found = Classification(np.zeros((5, 2), np.float32), labels, sure.max(axis=1), sure)
-    doubted = without_vehicles(found, np.array([True, True, True, False, True]))
+    doubted = reject_vehicles(found, np.array([True, True, True, False, True]))
     assert [LABELS[label] for label in doubted.labels] == ["unknown", "unknown", "pedestrian", "car", "background"]
     np.testing.assert_allclose(doubted.confidence, [0.2, 0.2, 0.8, 0.8, 0.8])
     np.testing.assert_allclose(doubted.probabilities[0], 0.2)
     np.testing.assert_array_equal(doubted.probabilities[2:], sure[2:])
-    assert without_vehicles(found, np.zeros(5, bool)) is found
+    assert reject_vehicles(found, np.zeros(5, bool)) is found
 
 
 def test_calibration_maps_shares_and_keeps_the_sum() -> None:

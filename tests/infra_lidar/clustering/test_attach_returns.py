@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.infra_lidar.clustering.attach_returns import attach_single_returns
+from services.infra_lidar.clustering.attach_returns import attach_small_fragments
 from services.infra_lidar.clustering.merge_vehicles import footprints
 
 END_FACE = (60.0, 0.0, 1.6, 2.4, 0.1, 2.6, np.pi / 2, 0.3)  # x, y, z, length, width, height, yaw, gap to the road
@@ -19,7 +19,7 @@ def _point(x, y, above=1.5):
 def _attach(pieces, counts, group=None):
     box, counts = np.array(pieces, np.float32), np.array(counts, np.int64)
     group = np.arange(len(box), dtype=np.int32) if group is None else np.array(group, np.int32)
-    attach_single_returns(footprints(box), counts, FEW, group)
+    attach_small_fragments(footprints(box), counts, FEW, group)
     return group
 
 

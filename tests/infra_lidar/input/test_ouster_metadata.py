@@ -61,7 +61,7 @@ MIRROR = [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
         (sensor(lidar_to_sensor_transform=MIRROR), "transform: expected a rotation"),
         (sensor(lidar_to_sensor_transform=transform(last=2.0)), "the last four 0 0 0 1"),
         (sensor(lidar_to_sensor_transform=transform(shift=(0.0, 0.0, 36180.0))), "shift: expected mm .* found 36180"),
-        (sensor(lidar_to_sensor_transform=transform(shift=(5.0, 0.0, 0.0))), "a turn about z and a shift along it"),
+        (sensor(lidar_to_sensor_transform=transform(shift=(5.0, 0.0, 0.0))), "a rotation about z and a shift along it"),
         (with_window([5000, 1]), r"column_window: expected two columns from 0 to 1023, found \[5000, 1\]"),
         (with_window([0, 1024]), "column_window: expected two columns from 0 to 1023"),
         (with_window([-1, 1023]), "column_window: expected two columns"),
