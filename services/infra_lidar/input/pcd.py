@@ -132,13 +132,23 @@ def _unique(names: list[str]) -> list[str]:
     return [f"{name}{i}" if names.count(name) > 1 else name for i, name in enumerate(names)]
 
 
-def _ascii_columns(body: bytes, names: list[str], counts: list[int], count: int) -> dict[str, np.ndarray]:
-    lines = [line for line in body.splitlines() if line.strip()][:count]
+def text_table(body: bytes, skipped: int, count: int, width: int) -> np.ndarray:
+    """(count, width) float64 of the numbers in the lines that follow ``skipped`` ones; empty lines do not count.
+
+    Raises:
+        FrameError: too few lines, or lines of another number of values.
+    """
+    lines = [line for line in body.splitlines() if line.strip()][skipped : skipped + count]
     if len(lines) < count:
         raise FrameError(f"{count} points are announced, {len(lines)} lines follow")
     table = np.loadtxt(io.BytesIO(b"\n".join(lines)), dtype=np.float64, comments=None, ndmin=2)
-    if table.shape[1] != sum(counts):
-        raise FrameError(f"{table.shape[1]} numbers a line, {sum(counts)} expected")
+    if table.shape[1] != width:
+        raise FrameError(f"{table.shape[1]} numbers a line, {width} expected")
+    return table
+
+
+def _ascii_columns(body: bytes, names: list[str], counts: list[int], count: int) -> dict[str, np.ndarray]:
+    table = text_table(body, 0, count, sum(counts))
     starts = [sum(counts[:k]) for k in range(len(counts))]
     return {name: table[:, start] for name, start, repeat in zip(names, starts, counts, strict=True) if repeat}
 

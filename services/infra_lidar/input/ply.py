@@ -5,12 +5,11 @@ Of the file only the element ``vertex`` is read; its properties have to be numbe
 
 from __future__ import annotations
 
-import io
 from typing import NamedTuple
 
 import numpy as np
 
-from services.infra_lidar.input.pcd import MAX_POINTS, FrameError, point_columns
+from services.infra_lidar.input.pcd import MAX_POINTS, FrameError, point_columns, text_table
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -97,12 +96,7 @@ def _binary(body: bytes, before: list[_Element], vertex: _Element, order: str) -
 
 def _ascii(body: bytes, before: list[_Element], vertex: _Element) -> np.ndarray:
     skipped = sum(element.number for element in before)
-    lines = [line for line in body.splitlines() if line.strip()][skipped : skipped + vertex.number]
-    if len(lines) < vertex.number:
-        raise FrameError(f"{vertex.number} points are announced, {len(lines)} lines follow")
-    table = np.loadtxt(io.BytesIO(b"\n".join(lines)), dtype=np.float64, comments=None, ndmin=2)
-    if table.shape != (vertex.number, len(vertex.properties)):
-        raise FrameError(f"{table.shape[1]} numbers a line, {len(vertex.properties)} properties")
+    table = text_table(body, skipped, vertex.number, len(vertex.properties))
     rows = np.empty(vertex.number, [(name, "f8") for name in vertex.properties])
     for k, name in enumerate(vertex.properties):
         rows[name] = table[:, k]

@@ -80,7 +80,7 @@ def test_ply_in_capitals() -> None:
             "9 points of 19 bytes are announced, 51 bytes",
         ),
         (ply("ascii").replace(b"element vertex 2", b"element vertex 9"), "9 points are announced, 3 lines follow"),
-        (ply("ascii").replace(b"property ushort ring\n", b""), "5 numbers a line, 4 properties"),
+        (ply("ascii").replace(b"property ushort ring\n", b""), "5 numbers a line, 4 expected"),
         (ply("ascii").replace(b"1 2 3 40 5\n", b"\n \n"), "the number of columns changed"),
         (ply().replace(b"uchar intensity", b"list uchar int many"), "vertex.many is a list"),
         (ply().replace(b"element vertex", b"element point"), "no element vertex"),
