@@ -35,7 +35,8 @@ class Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 class ZenohConfig(Section, frozen=True, kw_only=True):
     """How this process reaches the others. The defaults suit one machine with a router on loopback."""
 
-    namespace: str = "spotter"  # the site: first chunk of every key, never spelled by code
+    # The site: first chunk of every key, never spelled by code.
+    namespace: typing.Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9_]*$")] = "spotter"
     mode: typing.Literal["client", "peer", "router"] = "client"
     connect: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
     listen: tuple[str, ...] = ()

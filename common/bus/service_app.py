@@ -22,6 +22,7 @@ import msgspec
 import typer
 
 from common.bus.session import init_zenoh_log
+from common.bus.watchdog import say_stopping
 from common.config import ConfigError, ServiceConfig, load
 
 STOP_AGAIN_S = 0.05  # after a signal that was lost in a callback
@@ -140,6 +141,7 @@ def run_until_stopped(run: Callable[[], object]) -> NoReturn:
     stopped: list[int] = []
 
     def stop(signum: int, _: object) -> None:
+        say_stopping()
         stopped.append(signum)
         raise KeyboardInterrupt
 

@@ -116,8 +116,8 @@ def refuse_malformed(endpoint: str) -> None:
         wrong = f"protocols are {', '.join(PROTOCOLS)}"
     elif protocol in WITH_PORT and not port.isdecimal():
         wrong = "its port is missing"
-    elif protocol in WITH_PORT and not int(port) <= HIGHEST_PORT:
-        wrong = f"ports end at {HIGHEST_PORT}"
+    elif protocol in WITH_PORT and not 1 <= int(port) <= HIGHEST_PORT:
+        wrong = f"ports are 1 to {HIGHEST_PORT}"
     else:
         return
     raise ConfigError(f"[zenoh] endpoint {endpoint!r}: expected PROTOCOL/HOST:PORT, e.g. tcp/127.0.0.1:7447; {wrong}")

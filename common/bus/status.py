@@ -11,6 +11,7 @@ from common.clock import monotonic_s, utc_ns
 from common.messages import SensorMessage, ServiceState, ServiceStatus, SourceKind
 
 RATE_WINDOW_S = 3.0
+ENDED = "ended: "  # so begins the last reason of a recorder that was stopped: nobody misses it
 _PAGE_BYTES = resource.getpagesize()
 
 

@@ -11,6 +11,11 @@ from contextlib import suppress
 from pathlib import Path
 
 
+def say_stopping() -> None:
+    """A signal has asked this process to end: its supervisor can tell that from work that is done."""
+    _send(os.environ.get("NOTIFY_SOCKET", ""), "STOPPING=1")
+
+
 class Watchdog:
     """Call ``ready`` once, then ``alive`` while the work makes progress. Without it the supervisor restarts us."""
 
@@ -29,21 +34,22 @@ class Watchdog:
 
     def ready(self, status: str = "") -> None:
         """The start is over. Further calls only change the status line."""
-        self._send(f"STATUS={status}" if self._ready else f"READY=1\nSTATUS={status}")
+        _send(self._address, f"STATUS={status}" if self._ready else f"READY=1\nSTATUS={status}")
         self._ready = True
 
     def alive(self) -> None:
         """The work made progress."""
-        self._send("WATCHDOG=1")
+        _send(self._address, "WATCHDOG=1")
         if self._file is not None:
             with suppress(OSError):  # disk full: the file is not updated, and the supervisor restarts us
                 self._file.parent.mkdir(parents=True, exist_ok=True)  # the folder may have been deleted
                 self._file.touch()
 
-    def _send(self, text: str) -> None:
-        if not self._address:
-            return
-        address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
-        with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
-            sender.setblocking(False)  # a stopped supervisor must not block us
-            sender.sendto(text.encode(), address)  # no receiver, or no descriptor left: retried next time
+
+def _send(address: str, text: str) -> None:
+    if not address:
+        return
+    address = "\0" + address[1:] if address.startswith("@") else address
+    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+        sender.setblocking(False)  # a stopped supervisor must not block us
+        sender.sendto(text.encode(), address)  # no receiver, or no descriptor left: retried next time

@@ -27,6 +27,7 @@ class Heartbeat:
         self.limit_s = limit_s
         self._path = path
         self._last_s: float | None = None  # None = not ready yet
+        self._stopping = False
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -43,14 +44,20 @@ class Heartbeat:
     def begin(self) -> None:
         """A new process starts: forget the messages of the one before."""
         self._read()
-        self._last_s = None
+        self._last_s, self._stopping = None, False
 
     def silent_s(self, now_s: float) -> float:
         """Seconds since the last sign of life; 0.0 while it is not ready. Call it more often than every second."""
         text = self._read()
+        self._stopping |= "STOPPING=1" in text
         if "READY=1" in text or (self._last_s is not None and "WATCHDOG=1" in text):
             self._last_s = now_s
         return 0.0 if self._last_s is None else now_s - self._last_s
+
+    def was_signalled(self) -> bool:
+        """Whether a signal asked the process to end (STOPPING=1)."""
+        self._stopping |= "STOPPING=1" in self._read()
+        return self._stopping
 
     def close(self) -> None:
         """Close the socket."""

@@ -55,7 +55,7 @@ class Child:
 
 
 class Supervisor:
-    """``await run()`` returns when every child ended by itself, when stopped, or when a child's config is wrong.
+    """``await run()`` returns when every child has done its work, when stopped, or when a child's config is wrong.
 
     The exit code is 0, or 2 when a child refused its configuration: a broken file never runs half a system. A
     process that replaces a child by `spotter swap` is supervised in its place (common/host/adoption.py).
@@ -95,8 +95,9 @@ class Supervisor:
             lived_s = await self._run_once(child, index) + await self._mind_successors(child, index)
             if self._stop.is_set():
                 return
-            if child.exit_code == 0:
-                self._say(child, index, "ended by itself")
+            signalled = child.heartbeat is not None and child.heartbeat.was_signalled()
+            if child.exit_code == 0 and not signalled:
+                self._say(child, index, "has done its work and ended")
                 return
             if child.exit_code == EXIT_WRONG_CONFIG:
                 self._exit_code = EXIT_WRONG_CONFIG
@@ -105,7 +106,7 @@ class Supervisor:
             if lived_s > STEADY_AFTER_S:
                 backoff.reset()
             backoff_s = backoff.next_s()
-            self._say(child, index, f"{_how(child.exit_code)}; starting it again in {backoff_s:.1f} s")
+            self._say(child, index, f"{_how(child.exit_code, signalled)}; starting it again in {backoff_s:.1f} s")
             await self._sleep(backoff_s)
 
     async def _run_once(self, child: Child, index: int) -> float:
@@ -237,9 +238,11 @@ async def _read_line(stream: asyncio.StreamReader) -> str:
     return line.decode("utf-8", errors="replace")
 
 
-def _how(exit_code: int | None) -> str:
+def _how(exit_code: int | None, signalled: bool) -> str:
     if exit_code is None:
         return "ended"
+    if exit_code == 0 and signalled:
+        return "was told to end by somebody else"
     if exit_code < 0:
         return f"killed by {signal.Signals(-exit_code).name}"
     return f"exited with code {exit_code}"

@@ -131,7 +131,7 @@ def _unit(name: str, where: str, start: str, needs: Needs) -> str:
         "TimeoutStartSec=infinity",  # ready means the first message; a device may take its time to appear
         "WatchdogSec=30",
         f"ExecStart={start} {name}",
-        "Restart=on-failure",
+        "Restart=always",  # `systemctl stop` stops it; whatever else ends it does not
         "RestartSec=1",
         f"RestartPreventExitStatus={EXIT_WRONG_CONFIG}",
         "TimeoutStopSec=5",

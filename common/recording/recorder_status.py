@@ -14,14 +14,13 @@ from pathlib import Path
 
 import zenoh
 
-from common.bus.status import Report
+from common.bus.status import ENDED, Report
 from common.clock import utc_ns
 from common.codec import encode_for_readers, encoding_of
 from common.messages import ServiceState, ServiceStatus
 from common.recording.recorder import RecorderStatus
 from common.topics import RECORDER, status_topic, token_key
 
-ENDED = "ended: "  # so begins the reason of a recorder that was stopped; the dashboard then leaves it out
 TRIES = 3  # statuses without an echo after which the rules are taken to refuse them
 
 

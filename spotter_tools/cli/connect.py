@@ -24,6 +24,13 @@ from spotter_tools.cli.fail import fail
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 GIVE_UP_AFTER_S = 3.0
 
+
+def _one_chunk(text: str) -> str:
+    if not re.fullmatch("[a-z0-9_]*", text):
+        raise typer.BadParameter(f"{text!r}: expected one chunk of a key, of a-z, 0-9 and _")
+    return text
+
+
 Connect = Annotated[
     str, typer.Option("--connect", envvar="SPOTTER_CONNECT", help="The router's endpoint; several with commas.")
 ]
@@ -32,6 +39,7 @@ Namespace = Annotated[
     typer.Option(
         "--namespace",
         envvar="SPOTTER_NAMESPACE",
+        callback=_one_chunk,
         help="The site: first chunk of every key. Without it `spotter`, or `demo` where only a demo runs.",
     ),
 ]

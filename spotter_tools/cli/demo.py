@@ -53,10 +53,12 @@ class DemoOptions:
 
 def demo(
     scenario: Annotated[str, typer.Option(help="crossing, empty, faults, drive or emergency.")] = "crossing",
-    seconds: Annotated[float, typer.Option(help="Stop by itself after this long, counted from when all are up.")] = 0.0,
+    seconds: Annotated[
+        float, typer.Option(min=0.0, help="Stop by itself after this long, counted from when all are up.")
+    ] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end and nothing else.")] = False,
     listen: Annotated[str, typer.Option(help="Where the demo's router listens.")] = DEFAULT_ENDPOINT,
-    port: Annotated[int, typer.Option(help="The dashboard's port on 127.0.0.1.")] = 8080,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="The dashboard's port on 127.0.0.1.")] = 8080,
     overrides: Annotated[list[str] | None, typer.Option("--set", help="SERVICE.section.key=value.")] = None,
     namespace: Namespace = DEMO,
 ) -> None:

@@ -62,6 +62,8 @@ def export(
     unknown = sorted(set(chosen) - set(COLUMNS))
     if unknown:
         fail(f"--table {', '.join(unknown)}: no such table; known: {', '.join(COLUMNS)}", code=2)
+    if out.exists() and file.exists() and out.samefile(file):
+        fail(f"{out}: is the recording itself; give another name", code=2)
     if out.exists() and not force:
         fail(f"{out}: is already there; --force overwrites it", code=2)
     form = form or out.suffix[1:]
@@ -69,6 +71,8 @@ def export(
         fail(f"{out}: expected a name that ends with .csv, .parquet or .geojson, or --as {', '.join(FORMS)}", code=2)
     if table and form not in TABLES:
         fail(f"--table {', '.join(chosen)}: {form} holds tracks, no tables", code=2)
+    if host and form in TABLES:
+        fail(f"--host {host}: {form} holds tables of all hosts; its column `key` begins with the host", code=2)
     order = Order(file, chosen, host, read_site(site_file)[0].map if form in ON_EARTH else None)
     _write_whole(out, form, order)
     if as_json:

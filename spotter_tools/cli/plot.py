@@ -11,6 +11,7 @@ import typer
 from spotter_tools.cli.connect import DEFAULT_ENDPOINT, AsJson, Connect, Namespace, bus
 from spotter_tools.cli.fail import fail, needs_extra
 from spotter_tools.cli.progress import Progress
+from spotter_tools.cli.recorded_messages import say_if_cut
 
 
 def plot(
@@ -28,6 +29,8 @@ def plot(
         import spotter_tools.plots.story  # noqa: F401
     except ImportError:
         needs_extra("plotting needs", "plot")
+    if end and end <= start:
+        fail(f"--to {end:g}: expected more than --from {start:g}", code=2)
     if what.endswith(".mcap") and not Path(what).exists():
         fail(f"{what}: no such file", code=2)
     try:
@@ -86,6 +89,7 @@ def _plot_recording(file: Path, out: Path, start_s: float, end_s: float) -> None
 
     story, progress, elapsed, at_s = Story(), Progress(), Elapsed(), -1.0
     of = expected_messages(file)
+    say_if_cut(file)
     for done, recorded in enumerate(read(file)):
         at_s = elapsed.at(recorded.log_ns) / 1e9
         topic = find_topic(recorded.key)

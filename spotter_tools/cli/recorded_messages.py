@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +24,7 @@ def messages(file: Path, unreadable: Counter[str]) -> Iterator[tuple[str, Messag
         fail(f"{file}: no such file", code=2)
     progress, first_ns = Progress(), 0
     try:
+        say_if_cut(file)
         of = expected_messages(file)
         for done, recorded in enumerate(read(file, refused=unreadable)):
             first_ns = first_ns or recorded.log_ns
@@ -42,6 +44,19 @@ def messages(file: Path, unreadable: Counter[str]) -> Iterator[tuple[str, Messag
         progress.close()
     if not first_ns and not unreadable:
         fail(f"{file}: holds none of our messages")
+
+
+def say_if_cut(recording: Path) -> None:
+    """A file without an end, or one in the folder, is used as far as it goes; whoever uses it is told so.
+
+    Raises:
+        RecordingError: it cannot be read at all.
+    """
+    from common.recording.reader import files_in, is_complete
+
+    for file in files_in(recording):
+        if not is_complete(file):
+            print(f"spotter: {file} has no end: cut off, or still written; what may follow is missing", file=sys.stderr)
 
 
 def by_key(counts: Counter[str]) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from spotter_tools.cli.fail import fail
 from spotter_tools.cli.progress import Progress
-from spotter_tools.cli.recorded_messages import by_key
+from spotter_tools.cli.recorded_messages import by_key, say_if_cut
 
 
 def verify_recording(files: list[Path], as_json: bool = False) -> None:
@@ -66,9 +66,15 @@ def verify_services(services: list[str], files: list[Path], config: Path | None,
 
 
 def _there(files: list[Path]) -> None:
+    from common.recording.reader import RecordingError
+
     for path in files:
         if not path.exists():
             fail(f"{path}: no such file", code=2)
+        try:
+            say_if_cut(path)
+        except RecordingError as error:
+            fail(str(error))
 
 
 def _with_progress(files: list[Path], unreadable: Counter[str]) -> Iterator[tuple[str, bytes]]:

@@ -35,11 +35,14 @@ class Server(uvicorn.Server):
         try:
             await super().startup(sockets)
         except SystemExit:
-            where = f"{self.config.host}:{self.config.port}"
-            raise ConfigError(f"[server] port = {self.config.port}: cannot listen on {where}; is it taken?") from None
+            raise ConfigError(
+                f"[server] address = {self.config.host!r}, port = {self.config.port}: cannot listen there; "
+                "is the port taken, or the address not this host's?"
+            ) from None
         if self.started:
             self._service.report.state("online")
-            log.info("http://%s:%d", self.config.host, self.config.port)
+            host = f"[{self.config.host}]" if ":" in self.config.host else self.config.host
+            log.info("http://%s:%d", host, self.config.port)
 
 
 def run(config: DashboardConfig) -> bool:

@@ -70,8 +70,11 @@ class Board:
             found = [(key, entry) for key, entry in self._entries.items() if key.endswith(suffix)]
         return [(key, entry.message, now_s - entry.arrived_s) for key, entry in sorted(found, key=lambda one: one[0])]
 
-    def snapshot(self, now_s: float, products: set[str]) -> bytes:
-        """JSON with the newest messages of these products (``"*"`` = all but pictures) and their ages in ms."""
+    def snapshot(self, now_s: float, now_ns: int, products: set[str]) -> bytes:
+        """JSON with the newest messages of these products (``"*"`` = all but pictures) and their ages in ms.
+
+        now_ns: UTC of this host, beside which the stamps of the histories are read: a viewer's clock may be wrong.
+        """
         with self._lock:
             entries = {
                 key: {"age_ms": round(1e3 * (now_s - entry.arrived_s), 1), "message": content}
@@ -83,9 +86,8 @@ class Board:
                 )
                 and (content := self._content_or_none(key, entry)) is not None
             }
-            return _ENCODER.encode(
-                {"entries": entries, "verdicts": list(self._verdicts)[-100:], "healths": list(self._healths)[-100:]}
-            )
+            verdicts, healths = list(self._verdicts)[-100:], list(self._healths)[-100:]
+            return _ENCODER.encode({"stamp_ns": now_ns, "entries": entries, "verdicts": verdicts, "healths": healths})
 
     def _content_or_none(self, key: str, entry: Entry) -> msgspec.Raw | None:
         """None where a free-form field holds what JSON has no word for: the page then lacks this message alone."""

@@ -17,7 +17,7 @@ class ServerConfig(Section, frozen=True, kw_only=True):
     port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 8080
     allowed_hosts: tuple[str, ...] = ()  # further names under which a browser may ask for the page
     site_hosts: tuple[str, ...] = ()  # the names in the site file; `spotter up` fills them in
-    token: str = ""  # asked for as ?token=...; without one only loopback is allowed
+    token: Annotated[str, msgspec.Meta(pattern=r"^[!-~]*$")] = ""  # asked for as ?token=...; without it only loopback
     max_clients: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 50
     request_within_s: Annotated[float, msgspec.Meta(ge=1, le=600)] = 10.0  # then a connection without one is closed
     max_rate_hz: Annotated[float, msgspec.Meta(gt=0, le=60)] = 20.0

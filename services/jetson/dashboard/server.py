@@ -23,7 +23,7 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from common.clock import monotonic_s
+from common.clock import monotonic_s, utc_ns
 from common.geodesy import NO_ORIGIN
 from common.topics import INFRA_TRACKS
 from services.jetson.dashboard.board import Board
@@ -121,13 +121,13 @@ class DashboardServer:
         return FileResponse(STATIC / "index.html")
 
     async def _snapshot(self, request: Request) -> Response:
-        return Response(self._board.snapshot(monotonic_s(), {"*"}), media_type="application/json")
+        return Response(self._board.snapshot(monotonic_s(), utc_ns(), {"*"}), media_type="application/json")
 
     async def _image(self, request: Request) -> Response:
         stamp = request.query_params.get("stamp", "")
         stamp_ns = int(stamp) if stamp.isdecimal() and len(stamp) < 20 else None
         data = self._board.image(f"{request.path_params['host']}/camera/image", stamp_ns)
-        if data is None:
+        if data is None or (stamp and stamp_ns is None):
             return JSONResponse({"error": "no picture of this stamp" if stamp else "no picture yet"}, 404)
         return Response(data, media_type="image/jpeg")
 
@@ -182,7 +182,7 @@ class DashboardServer:
     async def _push(self, socket: WebSocket, wish: Wish, listener: asyncio.Task[None]) -> None:
         while not listener.done():
             started_s = monotonic_s()
-            snapshot = self._board.snapshot(started_s, set(wish.products))
+            snapshot = self._board.snapshot(started_s, utc_ns(), set(wish.products))
             await socket.send_text(snapshot.decode())  # waits while the client is slow: it then skips
             await asyncio.sleep(max(0.0, 1 / wish.rate_hz - (monotonic_s() - started_s)))
 

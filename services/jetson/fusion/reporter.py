@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from common.bus.status import ENDED
 from common.clock import WRONG_CLOCK_S, clock_words
 from common.messages import SensorHealth, ServiceHealth, ServiceState, SystemHealth, least_live
 from common.topics import ONBOARD_SENSORS, spoken
@@ -101,11 +102,16 @@ class Reporter:
     def _judge_services(self, seen: Observation) -> dict[str, ServiceHealth]:
         instances = self._inbox.roster.services
         expected = {f"{watch.host}/{watch.service}" for watch in self._inbox.watches.values()} | {*self._config.expects}
-        known = expected | set(self._services) | set(instances)
+        known = expected | {name for name in self._services if not self._has_ended(name)} | set(instances)
         strangers = sorted(known - expected, key=lambda name: (name not in instances, name))
         names = expected | set(strangers[:MAX_NAMES])  # those that are there first
         self._services = {name: self._judge_service(name, len(instances.get(name, ())), seen) for name in sorted(names)}
         return self._services
+
+    def _has_ended(self, name: str) -> bool:
+        """A recorder that was stopped has said so: it is not missing."""
+        status = self._inbox.statuses.get(name)
+        return status is not None and status.message.reason.startswith(ENDED)
 
     def _judge_service(self, name: str, instances: int, seen: Observation) -> ServiceHealth:
         status, last = self._inbox.statuses.get(name), self._services.get(name)

@@ -45,7 +45,7 @@ def _sender_fault(inputs: GateInputs, config: GateConfig) -> Fault | None:
     if inputs.isolated:
         return Fault("isolated", "the gate has lost its own link to the network")
     if not inputs.claimants:
-        return Fault("fusion_gone", f"{fusion} has no liveliness token: the process is not there")
+        return Fault("fusion_gone", f"{fusion} has no liveliness token: it has ended, hangs, or cannot be reached")
     if len(inputs.claimants) > 1:
         return Fault("two_claimants", f"{len(inputs.claimants)} processes claim {fusion}")
     if inputs.two_senders:

@@ -94,6 +94,37 @@ def test_a_child_that_ends_by_itself_is_not_started_again() -> None:
     assert child.starts == 1
 
 
+STOPPABLE = """
+import signal
+from common.bus.service_app import run_until_stopped
+def run():
+    print('up', flush=True)
+    while True:
+        signal.pause()
+run_until_stopped(run)
+"""
+
+
+@pytest.mark.parametrize("signum", [signal.SIGTERM, signal.SIGINT])
+def test_a_service_that_somebody_else_ends_comes_back(signum: signal.Signals) -> None:
+    """Its exit code is 0, as after work that is done."""
+    lines: list[str] = []
+    child = python("service", STOPPABLE)
+
+    async def scenario() -> None:
+        supervisor = Supervisor([child], write=lines.append)
+        running = asyncio.create_task(supervisor.run())
+        await until(lambda: "service | up\n" in lines)
+        assert child.pid is not None
+        os.kill(child.pid, signum)
+        await until(lambda: lines.count("service | up\n") == 2)
+        supervisor.stop()
+        assert await running == 0
+
+    asyncio.run(scenario())
+    assert "service | was told to end by somebody else; starting it again in 0.2 s\n" in lines
+
+
 def test_back_off_grows_and_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     lines: list[str] = []
     monkeypatch.setattr(module, "FIRST_BACKOFF_S", 0.1)

@@ -28,7 +28,7 @@ def test_ages_grow_and_the_newest_counts() -> None:
     board = Board()
     board.put("jetson0/fusion/verdict", verdict("SAFE"), arrived_s=10.0)
     board.put("jetson0/fusion/verdict", verdict("CAUTION"), arrived_s=11.0)
-    entry = json.loads(board.snapshot(11.5, {"*"}))["entries"]["jetson0/fusion/verdict"]
+    entry = json.loads(board.snapshot(11.5, 7, {"*"}))["entries"]["jetson0/fusion/verdict"]
     assert entry["age_ms"] == 500.0
     assert entry["message"]["level"] == "CAUTION"
 
@@ -39,7 +39,8 @@ def test_only_changes_enter_the_histories() -> None:
         board.put("jetson0/fusion/verdict", verdict(level), 0.0)
     for state in ("online", "online", "degraded", "online"):
         board.put("jetson0/fusion/health", health(state), 0.0)
-    snapshot = json.loads(board.snapshot(0.0, {"*"}))
+    snapshot = json.loads(board.snapshot(0.0, 7, {"*"}))
+    assert snapshot["stamp_ns"] == 7
     assert [row["level"] for row in snapshot["verdicts"]] == ["SAFE", "CAUTION", "SAFE"]
     assert [row["state"] for row in snapshot["healths"]] == ["online", "degraded", "online"]
 
@@ -55,7 +56,7 @@ def test_a_picture_is_not_in_the_snapshot_but_beside_it() -> None:
     board = Board()
     image = CompressedImage(stamp_ns=5, seq=3, format="jpeg", data=b"\xff\xd8" * 1000, captions=["car 5.2 m"])
     board.put("jetson0/camera/image", image, 0.0)
-    snapshot = board.snapshot(0.0, {"*"})
+    snapshot = board.snapshot(0.0, 7, {"*"})
     assert len(snapshot) < 500
     message = json.loads(snapshot)["entries"]["jetson0/camera/image"]["message"]
     assert (message["seq"], message["captions"], "data" in message) == (3, ["car 5.2 m"], False)
@@ -69,7 +70,7 @@ def test_a_picture_comes_by_its_stamp_or_not_at_all() -> None:
     for turn in range(2 * PICTURES):
         image = CompressedImage(stamp_ns=first_ns + turn, format="jpeg", data=b"%d" % turn)
         board.put("jetson0/camera/image", image, 0.0)
-    message = json.loads(board.snapshot(0.0, {"camera/image"}))["entries"]["jetson0/camera/image"]["message"]
+    message = json.loads(board.snapshot(0.0, 7, {"camera/image"}))["entries"]["jetson0/camera/image"]["message"]
     assert message["address"] == f"/api/image/jetson0?stamp={first_ns + 2 * PICTURES - 1}"
     kept = {ago: board.image("jetson0/camera/image", first_ns + 2 * PICTURES - 1 - ago) for ago in (0, 1, PICTURES)}
     assert kept == {0: b"%d" % (2 * PICTURES - 1), 1: b"%d" % (2 * PICTURES - 2), PICTURES: None}
@@ -79,7 +80,7 @@ def test_a_client_gets_what_it_asked_for_and_always_the_verdict() -> None:
     board = Board()
     board.put("jetson0/fusion/verdict", verdict(), 0.0)
     board.put("jetson0/camera/image", CompressedImage(stamp_ns=5, format="jpeg", data=b""), 0.0)
-    assert set(json.loads(board.snapshot(0.0, {"radar/tracks"}))["entries"]) == {"jetson0/fusion/verdict"}
+    assert set(json.loads(board.snapshot(0.0, 7, {"radar/tracks"}))["entries"]) == {"jetson0/fusion/verdict"}
 
 
 def test_a_message_that_is_no_json_costs_nobody_the_others(caplog: pytest.LogCaptureFixture) -> None:
@@ -90,7 +91,7 @@ def test_a_message_that_is_no_json_costs_nobody_the_others(caplog: pytest.LogCap
         message = verdict()
         message.deciding = {"odd": odd}
         board.put("jetson0/fusion/verdict", message, 0.0)
-        assert set(json.loads(board.snapshot(0.0, {"*"}))["entries"]) == {"jetson0/fusion/health"}
+        assert set(json.loads(board.snapshot(0.0, 7, {"*"}))["entries"]) == {"jetson0/fusion/health"}
     assert [record.getMessage()[:50] for record in caplog.records] == [
         "jetson0/fusion/verdict cannot be shown as JSON: On"
     ]

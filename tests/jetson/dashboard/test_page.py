@@ -149,8 +149,29 @@ def test_a_silent_fusion_is_no_verdict_within_half_a_second(browser: Any, fusion
     assert "treat as STOP" in browser.run(text_of("because"))
     keep_picture(browser, "no-verdict")
     browser.wait(f"{text_of('health')}.startsWith('HEALTH UNKNOWN')")
+    browser.wait(f"{text_of('sensors')}.includes('unknown, was online')")  # what fusion said of them is old, too
+    assert "trusted" not in browser.run(text_of("clocks"))
+    assert not browser.run("document.querySelectorAll('#sensors .online, #clocks .online').length")
+    keep_picture(browser, "health-unknown")
     fusion.silent = False
+    browser.wait(f"{text_of('level')} == 'SAFE' && {text_of('clocks')}.includes('trusted')")
+    assert "unknown, was" not in browser.run(text_of("sensors"))
+
+
+@pytest.mark.parametrize("ahead_min", [10, -10])
+def test_the_strip_of_verdicts_does_not_need_the_viewer_s_clock(
+    browser: Any, fusion: Fusion, url: str, ahead_min: int
+) -> None:
+    browser.open(url)
+    browser.run(f"(() => {{ const now = Date.now; Date.now = () => now() + {60_000 * ahead_min}; }})()")
     browser.wait(f"{text_of('level')} == 'SAFE'")
+    fusion.level = "IMMINENT"
+    browser.wait(f"{text_of('level')} == 'IMMINENT'")
+    newest = "import('/static/store.js').then((s) => (s.utcMs() - s.state.verdicts.at(-1).stamp_ns / 1e6) / 1000)"
+    assert -1.0 < browser.run(newest) < 30.0
+    column = "(() => { const c = document.getElementById('timeline'); const d = c.getContext('2d')"
+    pixels = ".getImageData(c.width - 2, 0, 1, c.height).data; return [...d].some((v) => v > 0); })()"
+    browser.wait(column + pixels)
 
 
 def test_a_lost_server_greys_the_page_and_comes_back(

@@ -97,6 +97,8 @@ def test_what_is_still_silent_is_called_stale_with_its_age(browser: Any, dashboa
     with speaking(module_router, (topics.RADAR_TRACKS, "pi0", radar(-60.0))):
         browser.wait(f"{WORDS.format('radar-words')}.includes('noise floor -60 dB')")
     browser.wait(f"/stale: [0-9.]+ m?s old/.test({WORDS.format('radar-words')})")
+    browser.wait(f"/radar stale: [0-9.]+ m?s old/.test({WORDS.format('ahead-words')})")
+    assert browser.run("document.getElementById('ttc').classList.contains('stale')")
 
 
 def test_another_vehicle_s_sensor_is_not_shown(browser: Any, dashboard: Any, module_router: str) -> None:

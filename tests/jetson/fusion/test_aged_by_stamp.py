@@ -127,3 +127,16 @@ def test_of_a_host_whose_clock_nobody_knows_a_status_counts_from_its_arrival(ben
     bench.receive("box9/blackbox/status", sent.message)
     bench.run(1.0)
     assert bench.health.services["box9/blackbox"].state == "online"
+
+
+@pytest.mark.parametrize(("reason", "shown"), [("ended: drive.mcap, 12 MB", False), ("drive.mcap, 12 MB", True)])
+def test_a_recorder_that_was_stopped_is_not_missed(bench: Any, reason: str, shown: bool) -> None:
+    recorder = ("laptop", "recorder", "r")
+    bench.instances.add(recorder)
+    bench.status("radar", "online", reason)
+    bench.receive("laptop/recorder/status", bench.pending.pop().message)
+    bench.run(1.0)
+    assert bench.health.services["laptop/recorder"].alive
+    bench.instances.discard(recorder)
+    bench.run(5.0)
+    assert ("laptop/recorder" in bench.health.services) is shown

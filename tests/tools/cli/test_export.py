@@ -78,6 +78,25 @@ def test_what_cannot_be_done_is_said(
     assert (tmp_path / "taken.csv").read_text() == "precious"
 
 
+def test_a_recording_is_not_replaced_by_its_own_export(recording: Path, tmp_path: Path) -> None:
+    whole = recording.read_bytes()
+    link = tmp_path / "link.mcap"
+    link.symlink_to(recording)
+    for out in (recording, link):
+        result = runner.invoke(app, ["export", str(recording), str(out), "--as", "csv", "--force"])
+        assert (result.exit_code, result.output) == (2, f"spotter: {out}: is the recording itself; give another name\n")
+    assert recording.read_bytes() == whole
+
+
+def test_a_recording_that_was_cut_off_is_named(recording: Path, tmp_path: Path) -> None:
+    cut, out = tmp_path / "cut.mcap", tmp_path / "out.csv"
+    cut.write_bytes(recording.read_bytes()[:-200])
+    result = runner.invoke(app, ["export", str(cut), str(out)])
+    assert f"{cut} has no end: cut off, or still written" in result.stderr
+    assert result.exit_code == 0, result.output
+    assert "has no end" not in runner.invoke(app, ["export", str(recording), str(out), "--force"]).stderr
+
+
 def test_a_damaged_recording_is_refused(recording: Path, tmp_path: Path) -> None:
     damaged = bytearray(recording.read_bytes())
     chunk = make_reader(io.BytesIO(damaged)).get_summary().chunk_indexes[0]

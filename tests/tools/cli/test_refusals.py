@@ -29,7 +29,7 @@ ENDPOINT = "expected PROTOCOL/HOST:PORT, e.g. tcp/127.0.0.1:7447"
         (
             ["ls", "--connect", "tcp/127.0.0.1:99999"],
             1,
-            f"[zenoh] endpoint 'tcp/127.0.0.1:99999': {ENDPOINT}; ports end at 65535",
+            f"[zenoh] endpoint 'tcp/127.0.0.1:99999': {ENDPOINT}; ports are 1 to 65535",
         ),
         (
             ["demo", "--listen", "tcp/127.0.0.1"],

@@ -157,7 +157,8 @@ function describe(zones, radar, verdict) {
       parts.push(`${name} ${zone.nearest_m === null ? "free" : zone.nearest_m.toFixed(2) + " m"}`);
     }
   }
-  if (radar) parts.push(`${radar.message.tracks.length} radar track${radar.message.tracks.length === 1 ? "" : "s"}`);
+  if (radar && radar.ageMs > SCAN_STALE_MS) parts.push(`radar stale: ${ageWords(radar.ageMs)} old`);
+  else if (radar) parts.push(`${radar.message.tracks.length} radar track${radar.message.tracks.length === 1 ? "" : "s"}`);
   const covered = verdict ? verdict.message.covered_m : null;
   if (covered !== null && covered !== undefined) parts.push(`way seen ${covered.toFixed(1)} m ahead`);
   const text = parts.join(" · ") || "no data yet";

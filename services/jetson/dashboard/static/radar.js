@@ -57,14 +57,17 @@ function line(pen, from, to) {
 }
 
 function drawBars(radar) {
+  const old = radar.ageMs > STALE_MS;
+  const panel = document.getElementById("ttc");
+  panel.classList.toggle("stale", old);
   const bars = radar.message.tracks.filter((track) => track.ttc_s !== null).sort((a, b) => a.ttc_s - b.ttc_s).slice(0, 4);
-  document.getElementById("ttc").replaceChildren(...bars.map((track) => {
+  panel.replaceChildren(...bars.map((track) => {
     const bar = document.createElement("div");
     const fill = document.createElement("i");
     const words = document.createElement("span");
     fill.style.width = `${Math.max(2, 100 * Math.min(1, track.ttc_s / TTC_SPAN_S))}%`;
     fill.style.background = `var(--${track.level.toLowerCase()})`;
-    words.textContent = `#${track.track_id} ${track.level}: ${track.ttc_s.toFixed(1)} s to collision, ${(-track.velocity_mps).toFixed(1)} m/s closing`;
+    words.textContent = `${old ? "old: " : ""}#${track.track_id} ${track.level}: ${track.ttc_s.toFixed(1)} s to collision, ${(-track.velocity_mps).toFixed(1)} m/s closing`;
     bar.append(fill, words);
     return bar;
   }));

@@ -1,15 +1,17 @@
 // The newest of everything, as the server last told it, and how old each thing is by now. What is not asked for at the
 // moment stays, but it is not shown: its age here says nothing of the sensor.
-export const state = { entries: {}, verdicts: [], healths: [], arrivedMs: -Infinity };
+export const state = { entries: {}, verdicts: [], healths: [], stampMs: 0, arrivedMs: -Infinity };
 
 export const silentMs = () => performance.now() - state.arrivedMs;
+// UTC as the server's host has it: this machine's clock may be wrong.
+export const utcMs = () => state.stampMs + silentMs();
 export const ageMs = (entry) => performance.now() - entry.sinceMs;
 export const ageWords = (ms) => (ms < 950 ? `${Math.round(ms / 50) * 50} ms` : `${(ms / 1000).toFixed(1)} s`);
 
-function take({ entries, verdicts, healths }) {
+function take({ stamp_ns: stampNs, entries, verdicts, healths }) {
   const now = performance.now();
   for (const [key, { age_ms: age, message }] of Object.entries(entries)) state.entries[key] = { message, sinceMs: now - age, toldMs: now };
-  Object.assign(state, { verdicts, healths, arrivedMs: now });
+  Object.assign(state, { verdicts, healths, stampMs: stampNs / 1e6, arrivedMs: now });
 }
 
 // The newest message of a product on any host, its age now, and the host; null when the server told of none the last

@@ -1,6 +1,7 @@
 // The verdicts of the last minute, later of the last five, as one strip: colour and height, so that it reads without
 // colour too.
 import { prepare } from "/static/canvas.js";
+import { utcMs } from "/static/store.js";
 
 const SHORT = { span: 60_000, step: 15_000, name: (ms) => `${ms / 1000} s ago` };
 const LONG = { span: 300_000, step: 60_000, name: (ms) => `${ms / 60_000} min ago` };
@@ -9,7 +10,7 @@ const HEIGHT = { SAFE: 0.3, CAUTION: 0.65, IMMINENT: 1.0 };
 export function drawTimeline(verdicts, face) {
   const { pen, width, height, colour } = prepare("timeline");
   if (!verdicts.length) return;
-  const now = Date.now();
+  const now = utcMs();
   const scale = now - verdicts[0].stamp_ns / 1e6 < SHORT.span ? SHORT : LONG;
   const x = (ms) => width * (1 - (now - ms) / scale.span);
   verdicts.forEach((verdict, index) => {

@@ -95,8 +95,13 @@ const whyOf = (reason, why) => (plain(why).includes(plain(reason)) ? why : [reas
 export const age = (ms) => (ms === null || ms === undefined ? "never" : ageWords(ms));
 const clock = (ns) => new Date(ns / 1e6).toLocaleTimeString([], { hourCycle: "h23" });
 
+// What fusion said when it was last heard is no longer known to hold.
+const isOld = (health) => Boolean(health) && health.ageMs >= NO_HEALTH_AFTER_MS;
+
 export function drawSensors(health, verdict) {
   if (!health) return;
+  const old = isOld(health);
+  byId("sensors").classList.toggle("stale", old);
   const inputs = verdict ? verdict.message.inputs : {};
   fill(byId("sensors"), Object.entries(health.message.sensors).map(([name, sensor]) => {
     const input = inputs[name];
@@ -104,9 +109,9 @@ export function drawSensors(health, verdict) {
     const aged = input && input.age_ms !== null ? input.age_ms + verdict.ageMs : sensor.age_ms === null ? null : sensor.age_ms + health.ageMs;
     return [
       [spoken(name)],
-      [sensor.state === "online" ? "online" : `${sensor.state} since ${sensor.since_ns ? clock(sensor.since_ns) : "the start"}`, sensor.state],
+      old ? [`unknown, was ${sensor.state}`] : [sensor.state === "online" ? "online" : `${sensor.state} since ${sensor.since_ns ? clock(sensor.since_ns) : "the start"}`, sensor.state],
       [sensor.source_kind, sensor.source_kind === "live" ? "" : "made-up"],
-      [level ?? "nothing", level ? `${level}-text` : ""],
+      [level ?? "nothing", level && !old ? `${level}-text` : ""],
       [age(aged), "num"],
       [`${sensor.rate_hz.toFixed(0)} Hz`, "num"],
       [whyOf(sensor.reason, input ? input.why : "")],
@@ -160,9 +165,11 @@ export function drawLatency(health, verdict, fusion) {
   const rows = inputs.map(([name, { stage_ms: split }]) => [[spoken(name)], ms(split.capture), ms(split.processing), ms(split.transport), ms(whole[`${name}_p50`]), ms(whole[`${name}_p99`])]);
   if ("fusion_p50" in whole) rows.push([["fusion"], [""], [""], [""], ms(whole.fusion_p50), ms(whole.fusion_p99)]);
   fill(byId("latency"), rows);
+  const old = isOld(health);
+  byId("clocks").classList.toggle("stale", old);
   fill(byId("clocks"), Object.entries(health ? health.message.clocks : {}).map(([host, clock]) => [
     [host], [`${clock.offset_ms >= 0 ? "+" : ""}${clock.offset_ms.toFixed(2)} ms`, "num"], [`${clock.bound_ms.toFixed(2)} ms`, "num"],
-    [clock.trusted ? "trusted" : "not trusted", clock.trusted ? "online" : "disconnected"],
+    old ? ["unknown"] : [clock.trusted ? "trusted" : "not trusted", clock.trusted ? "online" : "disconnected"],
   ]));
   setText(byId("notes"), health ? health.message.notes.join(" · ") : "");
 }
