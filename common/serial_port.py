@@ -19,14 +19,14 @@ def explain(port: str, error: Exception, was_open: bool) -> str:
     if number == errno.ENOENT and was_open:
         return f"{port} is gone: unplugged? Waiting for it to come back"
     if number == errno.ENOENT:
-        return f"{port} does not exist yet: plug the device in or correct `source`. Waiting for it"
+        return f"{port} does not exist yet: plug the device in or correct the path. Waiting for it"
     if number in (errno.EACCES, errno.EPERM):
         user = os.environ.get("USER", "the service's user")
         return f"{port}: permission denied: add {user} to the group that owns it (usually dialout) and log in again"
     if number in (errno.EBUSY, errno.EAGAIN):
         return f"{port} is in use by another process: stop it (a login console or ModemManager, perhaps)"
     if number in (errno.ENOTTY, errno.EINVAL, errno.EISDIR):
-        return f"{port} is no serial port: correct `source`"
+        return f"{port} is no serial port: correct the path"
     if was_open:
         return f"{port}: lost while reading: unplugged? Waiting for it to come back ({error})"
     return f"{port}: cannot be opened: {error}"

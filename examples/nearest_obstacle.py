@@ -5,7 +5,6 @@ python examples/nearest_obstacle.py [ENDPOINT]
 
 from __future__ import annotations
 
-import contextlib
 import sys
 
 from spotter_client import CameraDetections, LidarZones, RadarTracks, connect
@@ -29,5 +28,9 @@ def main(endpoint: str = "tcp/127.0.0.1:7447") -> dict[str, float | None]:
 
 
 if __name__ == "__main__":
-    with contextlib.suppress(KeyboardInterrupt):
+    try:
         main(*sys.argv[1:2])
+    except KeyboardInterrupt:
+        pass
+    except ConnectionError as error:  # no router answers
+        sys.exit(str(error))

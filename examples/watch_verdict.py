@@ -5,7 +5,6 @@ python examples/watch_verdict.py [ENDPOINT [SECONDS]]
 
 from __future__ import annotations
 
-import contextlib
 import sys
 
 from spotter_client import Verdict, connect
@@ -25,5 +24,9 @@ def main(endpoint: str = "tcp/127.0.0.1:7447", seconds: float = 10.0) -> list[st
 
 
 if __name__ == "__main__":
-    with contextlib.suppress(KeyboardInterrupt):
+    try:
         main(*sys.argv[1:2], *[float(text) for text in sys.argv[2:3]])  # type: ignore[arg-type]
+    except KeyboardInterrupt:
+        pass
+    except ConnectionError as error:  # no router answers
+        sys.exit(str(error))

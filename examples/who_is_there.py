@@ -5,7 +5,6 @@ python examples/who_is_there.py [ENDPOINT]
 
 from __future__ import annotations
 
-import contextlib
 import sys
 from datetime import UTC, datetime
 
@@ -27,5 +26,9 @@ def main(endpoint: str = "tcp/127.0.0.1:7447") -> list[ServiceOnBus]:
 
 
 if __name__ == "__main__":
-    with contextlib.suppress(KeyboardInterrupt):
+    try:
         main(*sys.argv[1:2])
+    except KeyboardInterrupt:
+        pass
+    except ConnectionError as error:  # no router answers
+        sys.exit(str(error))
