@@ -36,8 +36,8 @@ class Server(uvicorn.Server):
             await super().startup(sockets)
         except SystemExit:
             raise ConfigError(
-                f"[server] address = {self.config.host!r}, port = {self.config.port}: cannot listen there; "
-                "is the port taken, or the address not this host's?"
+                f"[server] port = {self.config.port}: cannot listen on {self.config.host}; "
+                "is it taken, or is [server] address none of this host?"
             ) from None
         if self.started:
             self._service.report.state("online")

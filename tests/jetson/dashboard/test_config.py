@@ -45,6 +45,7 @@ def test_the_place_of_the_map_stands_in_the_file_as_a_comment(tmp_path: Path) ->
     [
         ("server.port=70000", "port"),
         ("server.max_clients=0", "max_clients"),
+        ("server.token=geheim\u00e4", "token"),  # a cookie holds ASCII only
         ("server.max_rate_hz=1000", "max_rate_hz"),
         ("server.adress=0.0.0.0", "did you mean 'address'"),
         ("server.address=0.0.0.0", "token"),

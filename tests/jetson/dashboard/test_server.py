@@ -124,6 +124,8 @@ def test_pictures_are_made_only_while_somebody_looks(dashboard: Any, on_its_rout
             until(lambda: publish.wanted)
             publish(CompressedImage(stamp_ns=1, format="jpeg", data=b"\xff\xd8\xff"))
             until(lambda: get(f"{dashboard.url}/api/image/jetson0")[2] == b"\xff\xd8\xff")
+            for stamp, code in (("1", 200), ("2", 404), ("-5", 404), ("abc", 404), (23 * "9", 404)):
+                assert get(f"{dashboard.url}/api/image/jetson0?stamp={stamp}")[0] == code, stamp
         until(lambda: not publish.wanted)
 
 

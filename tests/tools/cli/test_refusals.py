@@ -36,6 +36,11 @@ ENDPOINT = "expected PROTOCOL/HOST:PORT, e.g. tcp/127.0.0.1:7447"
             2,
             f"[zenoh] endpoint 'tcp/127.0.0.1': {ENDPOINT}; its port is missing",
         ),
+        (
+            ["demo", "--listen", "tcp/127.0.0.1:0"],
+            2,
+            f"[zenoh] endpoint 'tcp/127.0.0.1:0': {ENDPOINT}; ports are 1 to 65535",
+        ),
         (["demo", "--listen", "bogus"], 2, f"'bogus' is no endpoint: {ENDPOINT}"),
         (
             ["demo", "--scenario", "nowhere"],
@@ -69,6 +74,10 @@ def test_a_place_that_cannot_be(words: list[str], code: int, said: str) -> None:
         (["hz", "x", "--seconds", "-1"], "greater than or equal to 0.05"),
         (["echo", "x", "-n", "-1"], "greater than or equal to 0"),
         (["record", "--keep-free", "nan"], "less than or equal to 1000000"),
+        (["demo", "--namespace", "a/*"], "'a/*': expected one chunk of a key, of a-z, 0-9 and _"),
+        (["ls", "--namespace", "A"], "'A': expected one chunk of a key, of a-z, 0-9 and _"),
+        (["demo", "--port", "0"], "greater than or equal to 1"),
+        (["demo", "--seconds", "-1"], "greater than or equal to 0"),
     ],
 )
 def test_options_out_of_range(words: list[str], said: str) -> None:
